@@ -4,9 +4,9 @@ A canister stands in front of the robot. The tool looks along its x axis, at rig
 """
 
 import math
-from dataclasses import dataclass, replace
-from time import perf_counter
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ...kernel.counted_error import POSE
 from ...motion.trajectory import Trajectory
 from ...paths.continuity import check, densify
 from ...paths.freedom import errors_at_rows
-from ...paths.result import PathResult, PathStatus, Reconfiguration, path_sentence
+from ...paths.result import PathResult, PathStatus
 from ...paths.solve_path import TOLERANCE
 from ...robot.geometry.collision import CollisionModel
 from ...robot.robot import Robot
@@ -24,7 +24,10 @@ from ...solvers.solve import Solver
 from ...validate import positive
 
 MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
-STEP = (math.radians(7.0), 0.02)  # largest step [rad], [m] between rows of the certified path, the default of solve_path
+STEP = (
+    math.radians(7.0),
+    0.02,
+)  # largest step [rad], [m] between rows of the certified path, the default of solve_path
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,13 @@ class Canister:
         Raises:
             InvalidOption: A number is out of range, or a height is not on the canister.
         """
-        a, h = np.broadcast_arrays(*(np.atleast_1d(floats(x, "angles and heights", InvalidOption)) for x in (angles, heights)))
+        a, h = np.broadcast_arrays(
+            *(np.atleast_1d(floats(x, "angles and heights", InvalidOption)) for x in (angles, heights))
+        )
         if a.ndim != 1 or not np.isfinite(a).all() or not ((h >= 0.0) & (h <= self.height)).all():
-            raise InvalidOption(f"angles must be finite, and heights between 0 and {self.height:g} m, each a number or (N,)")
+            raise InvalidOption(
+                f"angles must be finite, and heights between 0 and {self.height:g} m, each a number or (N,)"
+            )
         away = positive(self.radius, "radius [m]") + positive(standoff, "standoff [m]")
         facing = math.atan2(-self.foot[1], -self.foot[0])
         n = np.column_stack([np.cos(a + facing), np.sin(a + facing), np.zeros(len(a))])
@@ -70,45 +77,55 @@ class Canister:
         return CollisionModel(robot).add_cylinder(self.radius, self.height, middle, name="canister")
 
 
-class LiftPlan(NamedTuple):
-    """The lifts (N,) [m] along a seam on one branch (0 to 7), the windows they lie in, and their travel: the sum of |steps| [m]."""
-
-    branch: int
-    lifts: np.ndarray
-    windows: list[list[LiftWindow]]
-    travel: float
-
-
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """How a seam is inspected: the plan of least lift travel, and its motion (a PathResult, certified between the poses)."""
+    """How a seam of N poses is inspected.
+
+    Attributes:
+        poses: (N, 4, 4), the seam, base frame [m].
+        windows: For each pose its intervals of the lift (`lift_windows`).
+        branch: The branch of the plan, 0 to 7.
+        lifts: (N,) values of the lift [m], the sum of whose steps is least.
+        path: The motion, certified between the poses.
+    """
 
     poses: np.ndarray
-    lift: LiftPlan
+    windows: list[list[LiftWindow]]
+    branch: int
+    lifts: np.ndarray
     path: PathResult
 
-    def torques(self, acceleration: float = 1.0, tip_speed: float = 0.02) -> tuple[Trajectory, np.ndarray]:
-        """Return the motion in time, and the joint torques and forces (N, n) [Nm or N] that it takes, by Pinocchio's rnea.
+    @property
+    def travel(self) -> float:
+        """Return the sum of the steps of the lift [m], up and down."""
+        return float(np.abs(np.diff(self.lifts)).sum())
 
-        Args:
-            acceleration: Largest joint acceleration [rad/s^2 or m/s^2].
-            tip_speed: Speed of the tip [m/s].
+    def torques(self, acceleration: float = 1.0, tip_speed: float = 0.02) -> tuple[Trajectory, np.ndarray]:
+        """Return the motion in time, and the joint torques or forces (M, n) [Nm or N] that it takes, by Pinocchio's rnea.
+
+        acceleration: of a joint at most [rad/s^2 or m/s^2]; tip_speed: of the tip [m/s], kept wherever the limits allow.
         """
         import pinocchio as pin
 
-        robot, motion = self.path.robot, self.path.retime(acceleration=acceleration, tip_speed=tip_speed)
-        data = robot.model.createData()
+        model, motion = self.path.robot.model, self.path.retime(acceleration=acceleration, tip_speed=tip_speed)
+        data = model.createData()
         rows = zip(motion.q, motion.dq, motion.ddq, strict=True)
-        return motion, np.array([pin.rnea(robot.model, data, *row) for row in rows])
+        return motion, np.array([pin.rnea(model, data, *row) for row in rows])
 
 
-def turns_reached(robot: Robot, canister: Canister, angles: Any, heights: Any, turns: Any, standoff: float = 0.05) -> np.ndarray:
-    """Return whether (M, N) each of N points of a seam is seen, inside all limits, with each of M turns [rad] about the line of sight."""
-    return np.array([[bool(lift_windows(robot, T)) for T in canister.seam(angles, heights, standoff, turn)] for turn in turns])
+def turns_reached(
+    robot: Robot, canister: Canister, angles: Any, heights: Any, turns: Any, standoff: float = 0.05
+) -> np.ndarray:
+    """Return whether (M, N) each of M turns [rad] about the line of sight reaches each of N points of a seam inside the limits."""
+    seams = (canister.seam(angles, heights, standoff, turn) for turn in turns)
+    return np.array([[bool(found) for found in lift_windows(robot, seam)] for seam in seams])
 
 
-def inspect(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan | None:
+def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
     """Plan the inspection of a seam with the least travel of the lift, and certify the motion between its poses.
+
+    The least is over the lifts at the given poses, on one branch; see `least_travel`. Of branches with the same travel, the one
+    whose other joints move least is taken.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -116,68 +133,67 @@ def inspect(robot: Robot, poses: Any, canister: Canister | None = None, margin: 
         canister: What the arm must not touch; by default nothing.
         margin: Distance [m] that lifts keep from the ends of their windows.
 
-    Returns:
-        The plan; None if no branch reaches every pose inside the limits, or none does so without an interruption.
+    Raises:
+        InvalidOption: No branch has a window at every pose; the message names the first pose that none reaches.
     """
-    poses = np.asarray(poses, dtype=float)
+    poses, windows = np.asarray(poses, dtype=float), lift_windows(robot, poses)
     model = None if canister is None else canister.obstacle(robot)
     made = []
-    for lift in sorted(least_travel([lift_windows(robot, T) for T in poses], margin), key=lambda one: one.travel):
-        q = np.array([at_lifts(robot, T, d)[0][lift.branch, 0] for T, d in zip(poses, lift.lifts, strict=True)])
-        made.append(WeldPlan(poses, lift, certified(robot, poses, q, model)))
-        if made[-1].path.status == PathStatus.FOLLOWED:
-            return made[-1]
-    return made[0] if made else None
+    for branch, lifts in least_travel(windows, margin).items():
+        q = np.array([at_lifts(robot, T, d)[0][branch, 0] for T, d in zip(poses, lifts, strict=True)])
+        made.append(WeldPlan(poses, windows, branch, lifts, certified(robot, poses, q, model)))
+    if not made:
+        lost = [k for k, found in enumerate(windows) if not found]
+        why = (
+            f"pose {lost[0]} is not reached inside the limits"
+            if lost
+            else "no branch reaches all poses: change the turn"
+        )
+        raise InvalidOption(f"this seam has no plan: {why}")
+    return min(made, key=lambda one: (not one.path.success, round(one.travel, 9), one.path.length))
 
 
 def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionModel | None = None) -> PathResult:
     """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on what happens between them.
 
-    Rows are inserted as by `solve_path`. Where two poses are not joined by one motion, the result has a reconfiguration. model: a
-    CollisionModel or None.
+    Rows are inserted as by `solve_path`. Where no motion joins two poses, the path is INCOMPLETE. model: a CollisionModel or None.
     """
-    began = perf_counter()
-    solver = Solver(robot, "lm")
-    plan, kinds, T = solver.plan_for((POSE,)), (POSE,), poses[:, None]
-    breaks: list[int] = []
-    while True:
-        curve, at, cut = densify(plan, kinds, q, T, breaks, STEP, TOLERANCE)
-        curve = np.clip(curve, robot.lower, robot.upper)
-        proof = check(plan, kinds, curve, at, T, cut, model)
-        leaps = (proof.deviation > TOLERANCE[0]) | (proof.turn > TOLERANCE[1])
-        if not leaps.any():
-            break
-        breaks = sorted({*breaks, *at[:-1][leaps].astype(int).tolist()})
+    plan, kinds, T = Solver(robot, "lm").plan_for((POSE,)), (POSE,), poses[:, None]
+    curve, at, cut = densify(plan, kinds, q, T, [], STEP, TOLERANCE)
+    curve = np.clip(curve, robot.lower, robot.upper)
+    proof = check(plan, kinds, curve, at, T, cut, model)
+    lost = at[:-1][(proof.deviation > TOLERANCE[0]) | (proof.turn > TOLERANCE[1])]
+    status, message = PathStatus.FOLLOWED, f"{len(q)} poses followed in one motion"
+    if len(lost):
+        status, message = PathStatus.INCOMPLETE, f"no motion joins poses {int(lost[0])} and {int(lost[0]) + 1}"
+    elif proof.contacts or proof.unproven:
+        status, message = PathStatus.COLLISION, "the arm touches the canister, or no bound shows that it does not"
     errors = errors_at_rows(robot, q, T, kinds, plan.options)
-    status = PathStatus.RECONFIGURES if breaks else PathStatus.FOLLOWED
-    result = PathResult(
-        robot=robot, targets=T, kinds=kinds, options=plan.options, q=q,
-        status=PathStatus.COLLISION if proof.contacts else status, message="", position_error=errors[:, 0],
-        orientation_error=errors[:, 1], curve=curve, at=at, continuity=proof,
-        reconfigurations=tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in breaks), max_step=STEP,
-        path_tolerance=TOLERANCE, collision=model, elapsed=perf_counter() - began,
+    return PathResult(
+        robot, T, kinds, plan.options, q, status, message, errors[:, 0], errors[:, 1], curve, at, proof, max_step=STEP,
+        path_tolerance=TOLERANCE, collision=model,
     )  # fmt: skip
-    return replace(result, message=path_sentence(result, len(breaks), math.inf))
 
 
-def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> list[LiftPlan]:
-    """Return for each branch that has a window at every pose the lifts whose travel, the sum of |steps|, is least.
+def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dict[int, np.ndarray]:
+    """Return for each branch the lifts (N,) [m] of least travel, the sum of |d_i+1 - d_i|; a branch that has none is left out.
 
-    The least is over all lifts d_1 ... d_N with d_i in a window of pose i, shortened by the margin at both ends, where the windows
-    of neighbouring poses overlap. It is exact for these poses: such a sum is linear in the lifts wherever their order does not
-    change, so that some best sequence consists of ends of windows, and a shortest path through the ends finds it.
+    The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
+    neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
+    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Nothing
+    is said about the lift between the poses, nor about motions that change the branch.
 
     Args:
         windows: The windows of each pose (`lift_windows`).
         margin: Distance [m] that lifts keep from the ends of their windows.
     """
-    made = []
+    made = {}
     for k in range(8):
-        rows = [[w for w in at if w.branch == k and w.high - w.low > 2.0 * margin] for at in windows]
+        rows = [[w for w in found if w.branch == k and w.high - w.low > 2.0 * margin] for found in windows]
         if all(rows):
-            found = _shortest([np.array([(w.low + margin, w.high - margin) for w in row]) for row in rows])
-            if found is not None:
-                made.append(LiftPlan(k, found, windows, float(np.abs(np.diff(found)).sum())))
+            ends = [np.array([(w.low + margin, w.high - margin) for w in row]) for row in rows]
+            lifts = _shortest(ends)
+            made |= {} if lifts is None else {k: lifts}
     return made
 
 
@@ -188,9 +204,7 @@ def _shortest(rows: list[np.ndarray]) -> np.ndarray | None:
     """
     c = np.unique(np.concatenate([row.ravel() for row in rows]))
     inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
-    joined = [
-        (a[:, None, 0] <= b[None, :, 1]) & (b[None, :, 0] <= a[:, None, 1]) for a, b in zip(rows, rows[1:], strict=False)
-    ]
+    joined = [(a[:, None, 0] <= b[None, :, 1]) & (b[None, :, 0] <= a[:, None, 1]) for a, b in pairwise(rows)]
     costs = [np.where(inside[0], 0.0, np.inf)]
     for mask, link in zip(inside[1:], joined, strict=True):
         base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1)  # (K', M) least cost at each value so far
@@ -202,7 +216,9 @@ def _shortest(rows: list[np.ndarray]) -> np.ndarray | None:
     w, j = np.unravel_index(np.argmin(costs[-1]), costs[-1].shape)
     values = [c[j]]
     for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-        total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(c - values[-1])  # equal: the lift rests
+        total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
+            c - values[-1]
+        )  # equal: the lift rests
         w, j = np.unravel_index(np.argmin(total), total.shape)
         values.append(c[j])
     return np.array(values[::-1])

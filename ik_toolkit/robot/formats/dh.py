@@ -20,11 +20,11 @@ import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
 from ..rotation import rpy_matrix
-from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_mass, add_shape, between, new_robot, shift, to_text
+from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
 
 KINDS = ("revolute", "prismatic", "continuous")
 COLUMNS = ("name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort")
-SETTINGS = ("name", "convention", "angles", "lengths", "base", "tool", "density", "joint")
+SETTINGS = ("name", "convention", "angles", "lengths", "base", "tool", "joint")
 MAX_ROWS = 1000  # Limit on the number of joints, the same as that of a URDF.
 MAX_BYTES = 1_000_000  # Limit on the size of a file [bytes].
 
@@ -53,8 +53,7 @@ class DHRow:
 class DHTable:
     """A D-H table in metres and radians.
 
-    The convention is 'classic' or 'modified'; base and tool are poses (4x4) before the first and after the last row. If the density
-    [kg/m^3] is not 0, the URDF has masses: solid cylinders of that density, see `_add_mass`.
+    The convention is 'classic' or 'modified'; base and tool are poses (4x4) before the first and after the last row.
     """
 
     name: str
@@ -62,7 +61,6 @@ class DHTable:
     rows: tuple[DHRow, ...]
     base: np.ndarray
     tool: np.ndarray
-    density: float = 0.0
 
 
 def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
@@ -109,7 +107,7 @@ def read_dh_table(path: str | Path) -> DHTable:
     """Read a D-H table from a `.toml` or `.csv` file.
 
     A TOML file has name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optionally base and tool (`{xyz,
-    rpy}` in those units) and the density of its links [kg/m^3], and one [[joint]] per row with any of name, type, theta, d, a, alpha, lower, upper, velocity,
+    rpy}` in those units), and one [[joint]] per row with any of name, type, theta, d, a, alpha, lower, upper, velocity,
     effort. Limits are required unless the joint is continuous. A CSV file has the settings as lines `# convention =
     classic` (base_xyz, base_rpy, tool_xyz and tool_rpy as three numbers), a header of column names and one line per
     joint. Raises ModelError, which names the row and the column.
@@ -192,10 +190,7 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
                 f"row {number}, column 'name' of the D-H table: '{joint}' is already the name of another joint"
             )
     base, tool = (_frame(settings, key, angle, length) for key in ("base", "tool"))
-    density = _number(settings.get("density", 0.0), "the setting", "density")
-    if density < 0.0:
-        raise ModelError(f"the D-H table's setting 'density' must not be negative, not {settings['density']!r}")
-    return DHTable(name, convention, rows, base, tool, density)
+    return DHTable(name, convention, rows, base, tool)
 
 
 def _choice(settings: Mapping[str, Any], key: str, options: Mapping[str, Any]) -> Any:
@@ -312,7 +307,6 @@ def add_arm(
             _add_rail(parent_link, origins[number - 1], row, _radius(table, number - 1))
         link = add_link(robot, name)
         _add_body(link, table, number, origins[number], gripper and number == len(table.rows))
-        _add_mass(link, table, number, origins[number][:3, 3])
         add_joint(robot, prefix + row.name, row.type, parent, name, origins[number - 1], _limit(row))
         parent = name
     add_link(robot, tip)
@@ -348,7 +342,7 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
         add_shape(link, "cylinder", (1.35 * r, 2.7 * r), np.eye(4), "orange")
         add_shape(link, "cylinder", (0.8 * r, 3.1 * r), np.eye(4), "silver")
     tip = end[:3, 3]
-    knee = _knee(table, tip)
+    knee = np.array([0.0, 0.0, tip[2]]) if table.convention == "classic" else np.array([tip[0], 0.0, 0.0])
     if row.type == "prismatic" and row.lower >= 0.0:
         add_shape(link, "cylinder", (0.75 * r, row.upper), shift(z=-0.5 * row.upper), "silver")
     points = [np.zeros(3), knee, tip]
@@ -360,23 +354,6 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
             add_gripper(link, a, b, r)
     if 1e-3 * r < np.linalg.norm(knee) and 1e-3 * r < np.linalg.norm(tip - knee):
         add_shape(link, "box", (2.0 * r, 2.0 * r, 2.0 * r), shift(*knee), "steel")
-
-
-def _knee(table: DHTable, tip: np.ndarray) -> np.ndarray:
-    """Return the corner (3,) [m] between the two bars of a link, along d and along a, that ends at `tip` (3,)."""
-    return np.array([0.0, 0.0, tip[2]]) if table.convention == "classic" else np.array([tip[0], 0.0, 0.0])
-
-
-def _add_mass(link: ET.Element, table: DHTable, number: int, tip: np.ndarray) -> None:
-    """Give a link the mass of the cylinders that it is drawn with: the drum or column of its joint, and a bar along d and a."""
-    row, r = table.rows[number - 1], _radius(table, number)
-    parts = [(np.eye(4), 1.35 * r, 2.7 * r)]
-    if row.type == "prismatic":
-        parts = [(shift(z=-0.5 * row.upper), 0.75 * r, row.upper)]
-    for a, b in itertools.pairwise([np.zeros(3), _knee(table, tip), tip]):
-        if np.linalg.norm(b - a) > 1e-3 * r:
-            parts.append((between(a, b), 0.9 * r, float(np.linalg.norm(b - a))))
-    add_mass(link, [part for part in parts if part[2] > 0.0], table.density)
 
 
 def _add_rail(link: ET.Element, T: np.ndarray, row: DHRow, r: float) -> None:

@@ -1,6 +1,5 @@
 """Writes links, joints and primitive shapes as URDF elements, with the XML of the standard library only."""
 
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
@@ -77,7 +76,7 @@ def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
     Its collision shape ends before the joint drums.
     """
     length = float(np.linalg.norm(b - a))
-    T = between(a, b)
+    T = _along(a, b)
     if abs(T[2, 2]) > 0.999:
         add_shape(link, "cylinder", (0.9 * r, length), T, "steel")
     else:
@@ -95,32 +94,10 @@ def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
     return part
 
 
-def add_mass(link: ET.Element, cylinders: Sequence[tuple[np.ndarray, float, float]], density: float) -> None:
-    """Append the mass, its centre and the inertia of solid cylinders; nothing if the density [kg/m^3] is 0.
-
-    Each cylinder has the pose (4x4) [m] of its middle, z along its axis, a radius [m] and a length [m].
-    """
-    if density == 0.0 or not cylinders:
-        return
-    masses = np.array([density * math.pi * r * r * length for _, r, length in cylinders])
-    middles = np.array([T[:3, 3] for T, _, _ in cylinders])
-    centre = masses @ middles / masses.sum()
-    inertia = np.zeros((3, 3))
-    for m, (T, r, length), x in zip(masses, cylinders, middles - centre, strict=True):
-        across = m * (3.0 * r * r + length * length) / 12.0
-        own = T[:3, :3] @ np.diag([across, across, 0.5 * m * r * r]) @ T[:3, :3].T
-        inertia += own + m * ((x @ x) * np.eye(3) - np.outer(x, x))
-    inertial = ET.SubElement(link, "inertial")
-    origin(inertial, shift(*centre))
-    ET.SubElement(inertial, "mass", value=_text(masses.sum()))
-    terms = {f"i{a}{b}": _text(inertia["xyz".index(a), "xyz".index(b)]) for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}
-    ET.SubElement(inertial, "inertia", terms)
-
-
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
     """Draw a palm and two fingers whose ends enclose the point b [m]."""
     size = min(r, float(np.linalg.norm(b - a)) / 5.2)
-    T = between(a, b)
+    T = _along(a, b)
     T[:3, 3] = b
     add_shape(link, "box", (2.6 * size, 1.4 * size, 0.7 * size), T @ shift(z=-2.4 * size), "silver")
     for side in (-1.0, 1.0):
@@ -136,7 +113,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     return T
 
 
-def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return a frame (4x4) midway between a and b, with z from a to b; a boom drawn in it has two faces along the joint's axis."""
     z = (b - a) / np.linalg.norm(b - a)
     side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
