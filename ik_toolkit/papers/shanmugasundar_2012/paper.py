@@ -46,6 +46,7 @@ from .formulas import (
     printed_fk,
 )
 from .sample import sample
+from .weld_report import weld
 
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:
@@ -62,6 +63,7 @@ def reproduce(poses: int = 2000, seed: int = 0) -> Report:
         sample(report, robot, printed, table_pose)
         _speed(report, robot)
         _misprints(report, printed)
+        weld(report, robot)
     return report
 
 

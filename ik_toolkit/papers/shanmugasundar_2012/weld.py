@@ -1,7 +1,4 @@
-"""Inspection of the welds of a canister, the purpose of the robot of Shanmugasundar and Sivaramakrishnan (2012); the plan is ours.
-
-A canister stands in front of the robot. The tool looks along its x axis, at right angles to the surface and from a stand-off.
-"""
+"""Inspection of the welds of a canister, the purpose of the robot of Shanmugasundar and Sivaramakrishnan (2012); the plan is ours."""
 
 import math
 from dataclasses import dataclass
@@ -15,6 +12,7 @@ from ...kernel.counted_error import POSE
 from ...motion.trajectory import Trajectory
 from ...paths.continuity import check, densify
 from ...paths.freedom import errors_at_rows
+from ...paths.path_problem import STEP
 from ...paths.result import PathResult, PathStatus
 from ...paths.solve_path import TOLERANCE
 from ...robot.geometry.collision import CollisionModel
@@ -24,10 +22,6 @@ from ...solvers.solve import Solver
 from ...validate import positive
 
 MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
-STEP = (
-    math.radians(7.0),
-    0.02,
-)  # largest step [rad], [m] between rows of the certified path, the default of solve_path
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Canister:
     foot: tuple[float, float, float] = (0.55, 0.0, 0.35)
 
     def seam(self, angles: Any, heights: Any, standoff: float = 0.05, turn: float = 0.0) -> np.ndarray:
-        """Return poses (N, 4, 4) of a tool that looks at points of the surface, one by one.
+        """Return poses (N, 4, 4) of a tool whose x axis looks at the surface at right angles, from a stand-off.
 
         A girth weld has one height, a longitudinal weld one angle; of two arrays each pair is a point.
 
@@ -59,37 +53,21 @@ class Canister:
             raise InvalidOption(
                 f"angles must be finite, and heights between 0 and {self.height:g} m, each a number or (N,)"
             )
-        away = positive(self.radius, "radius [m]") + positive(standoff, "standoff [m]")
-        facing = math.atan2(-self.foot[1], -self.foot[0])
-        n = np.column_stack([np.cos(a + facing), np.sin(a + facing), np.zeros(len(a))])
-        up = np.array([0.0, 0.0, 1.0])
-        side = np.cross(-n, up)
+        a = a + math.atan2(-self.foot[1], -self.foot[0])
+        n, up = np.column_stack([np.cos(a), np.sin(a), 0.0 * a]), np.array([0.0, 0.0, 1.0])
         T = np.tile(np.eye(4), (len(a), 1, 1))
         T[:, :3, 0] = -n
-        T[:, :3, 1] = math.cos(turn) * up + math.sin(turn) * side
+        T[:, :3, 1] = math.cos(turn) * up + math.sin(turn) * np.cross(-n, up)
         T[:, :3, 2] = np.cross(T[:, :3, 0], T[:, :3, 1])
+        away = positive(self.radius, "radius [m]") + positive(standoff, "standoff [m]")
         T[:, :3, 3] = np.array(self.foot) + away * n + h[:, None] * up
         return T
-
-    def obstacle(self, robot: Robot) -> CollisionModel:
-        """Return a CollisionModel of the robot beside this canister."""
-        middle = np.add(self.foot, (0.0, 0.0, 0.5 * self.height))
-        return CollisionModel(robot).add_cylinder(self.radius, self.height, middle, name="canister")
 
 
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """How a seam of N poses is inspected.
+    """How a seam of N poses is inspected: the windows of the lift of each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
 
-    Attributes:
-        poses: (N, 4, 4), the seam, base frame [m].
-        windows: For each pose its intervals of the lift (`lift_windows`).
-        branch: The branch of the plan, 0 to 7.
-        lifts: (N,) values of the lift [m], the sum of whose steps is least.
-        path: The motion, certified between the poses.
-    """
-
-    poses: np.ndarray
     windows: list[list[LiftWindow]]
     branch: int
     lifts: np.ndarray
@@ -100,32 +78,28 @@ class WeldPlan:
         """Return the sum of the steps of the lift [m], up and down."""
         return float(np.abs(np.diff(self.lifts)).sum())
 
-    def torques(self, acceleration: float = 1.0, tip_speed: float = 0.02) -> tuple[Trajectory, np.ndarray]:
-        """Return the motion in time, and the joint torques or forces (M, n) [Nm or N] that it takes, by Pinocchio's rnea.
+    def torques(self, acceleration: float = 1.0, tip_speed: float = 0.02) -> tuple[Trajectory, np.ndarray, np.ndarray]:
+        """Return the motion in time, its joint torques or forces (M, n) [Nm or N] by Pinocchio's rnea, and those of weight alone.
 
         acceleration: of a joint at most [rad/s^2 or m/s^2]; tip_speed: of the tip [m/s], kept wherever the limits allow.
         """
         import pinocchio as pin
 
         model, motion = self.path.robot.model, self.path.retime(acceleration=acceleration, tip_speed=tip_speed)
-        data = model.createData()
-        rows = zip(motion.q, motion.dq, motion.ddq, strict=True)
-        return motion, np.array([pin.rnea(model, data, *row) for row in rows])
+        data, rest = model.createData(), np.zeros(model.nv)
+        rows = [(pin.rnea(model, data, *row), pin.rnea(model, data, row[0], rest, rest)) for row in _rows(motion)]
+        return motion, *np.array(rows).swapaxes(0, 1)
 
 
-def turns_reached(
-    robot: Robot, canister: Canister, angles: Any, heights: Any, turns: Any, standoff: float = 0.05
-) -> np.ndarray:
-    """Return whether (M, N) each of M turns [rad] about the line of sight reaches each of N points of a seam inside the limits."""
-    seams = (canister.seam(angles, heights, standoff, turn) for turn in turns)
-    return np.array([[bool(found) for found in lift_windows(robot, seam)] for seam in seams])
+def _rows(motion: Trajectory) -> Any:
+    return zip(motion.q, motion.dq, motion.ddq, strict=True)
 
 
 def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
-    """Plan the inspection of a seam with the least travel of the lift, and certify the motion between its poses.
+    """Plan the inspection of a seam with the least travel of the lift (see `least_travel`), and certify the motion between its poses.
 
-    The least is over the lifts at the given poses, on one branch; see `least_travel`. Of branches with the same travel, the one
-    whose other joints move least is taken.
+    Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
+    is taken. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -136,12 +110,14 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
     Raises:
         InvalidOption: No branch has a window at every pose; the message names the first pose that none reaches.
     """
-    poses, windows = np.asarray(poses, dtype=float), lift_windows(robot, poses)
-    model = None if canister is None else canister.obstacle(robot)
+    poses, windows, model = np.asarray(poses, dtype=float), lift_windows(robot, poses), None
+    if canister is not None:
+        middle = np.add(canister.foot, (0.0, 0.0, 0.5 * canister.height))
+        model = CollisionModel(robot).add_cylinder(canister.radius, canister.height, middle, name="canister")
     made = []
     for branch, lifts in least_travel(windows, margin).items():
         q = np.array([at_lifts(robot, T, d)[0][branch, 0] for T, d in zip(poses, lifts, strict=True)])
-        made.append(WeldPlan(poses, windows, branch, lifts, certified(robot, poses, q, model)))
+        made.append(WeldPlan(windows, branch, lifts, certified(robot, poses, q, model)))
     if not made:
         lost = [k for k, found in enumerate(windows) if not found]
         why = (
@@ -154,10 +130,7 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
 
 
 def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionModel | None = None) -> PathResult:
-    """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on what happens between them.
-
-    Rows are inserted as by `solve_path`. Where no motion joins two poses, the path is INCOMPLETE. model: a CollisionModel or None.
-    """
+    """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on it between them."""
     plan, kinds, T = Solver(robot, "lm").plan_for((POSE,)), (POSE,), poses[:, None]
     curve, at, cut = densify(plan, kinds, q, T, [], STEP, TOLERANCE)
     curve = np.clip(curve, robot.lower, robot.upper)
@@ -167,12 +140,10 @@ def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionMo
     if len(lost):
         status, message = PathStatus.INCOMPLETE, f"no motion joins poses {int(lost[0])} and {int(lost[0]) + 1}"
     elif proof.contacts or proof.unproven:
-        status, message = PathStatus.COLLISION, "the arm touches the canister, or no bound shows that it does not"
+        status, message = PathStatus.COLLISION, "contact with the canister, or of the arm with itself, is not ruled out"
     errors = errors_at_rows(robot, q, T, kinds, plan.options)
-    return PathResult(
-        robot, T, kinds, plan.options, q, status, message, errors[:, 0], errors[:, 1], curve, at, proof, max_step=STEP,
-        path_tolerance=TOLERANCE, collision=model,
-    )  # fmt: skip
+    made = (robot, T, kinds, plan.options, q, status, message, errors[:, 0], errors[:, 1], curve, at, proof)
+    return PathResult(*made, max_step=STEP, path_tolerance=TOLERANCE, collision=model)
 
 
 def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dict[int, np.ndarray]:
@@ -182,43 +153,33 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
     neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
     the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Nothing
     is said about the lift between the poses, nor about motions that change the branch.
-
-    Args:
-        windows: The windows of each pose (`lift_windows`).
-        margin: Distance [m] that lifts keep from the ends of their windows.
     """
     made = {}
     for k in range(8):
-        rows = [[w for w in found if w.branch == k and w.high - w.low > 2.0 * margin] for found in windows]
-        if all(rows):
-            ends = [np.array([(w.low + margin, w.high - margin) for w in row]) for row in rows]
-            lifts = _shortest(ends)
-            made |= {} if lifts is None else {k: lifts}
+        rows = [
+            np.array([w[1:] for w in found if w.branch == k]).reshape(-1, 2) + (margin, -margin) for found in windows
+        ]
+        rows = [row[row[:, 1] > row[:, 0]] for row in rows]
+        c = np.unique(np.concatenate(rows))  # (M,) all ends
+        inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
+        joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
+        costs = [np.where(inside[0], 0.0, np.inf)]
+        for mask, link in zip(inside[1:], joined, strict=True):
+            base = np.where(link.T[:, :, None], costs[-1], np.inf).min(
+                axis=1, initial=np.inf
+            )  # least cost at each value so far
+            up = np.minimum.accumulate(base - c, axis=1) + c
+            down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
+            costs.append(np.where(mask, np.minimum(up, down), np.inf))
+        if not np.isfinite(costs[-1]).any():
+            continue
+        w, j = np.unravel_index(np.argmin(costs[-1]), costs[-1].shape)
+        values = [c[j]]
+        for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
+            total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
+                c - values[-1]
+            )  # if equal, the lift rests
+            w, j = np.unravel_index(np.argmin(total), total.shape)
+            values.append(c[j])
+        made[k] = np.array(values[::-1])
     return made
-
-
-def _shortest(rows: list[np.ndarray]) -> np.ndarray | None:
-    """Return the values (N,), each in one of the intervals (K, 2) of its row, of least total variation; None if none overlap.
-
-    From one row to the next only intervals that overlap are joined.
-    """
-    c = np.unique(np.concatenate([row.ravel() for row in rows]))
-    inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
-    joined = [(a[:, None, 0] <= b[None, :, 1]) & (b[None, :, 0] <= a[:, None, 1]) for a, b in pairwise(rows)]
-    costs = [np.where(inside[0], 0.0, np.inf)]
-    for mask, link in zip(inside[1:], joined, strict=True):
-        base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1)  # (K', M) least cost at each value so far
-        up = np.minimum.accumulate(base - c, axis=1) + c
-        down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
-        costs.append(np.where(mask, np.minimum(up, down), np.inf))
-    if not np.isfinite(costs[-1]).any():
-        return None
-    w, j = np.unravel_index(np.argmin(costs[-1]), costs[-1].shape)
-    values = [c[j]]
-    for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-        total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
-            c - values[-1]
-        )  # equal: the lift rests
-        w, j = np.unravel_index(np.argmin(total), total.shape)
-        values.append(c[j])
-    return np.array(values[::-1])
