@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from ik_toolkit.robot.formats.dh import add_arm, add_pedestal, read_dh_table, to_urdf
-from ik_toolkit.robot.formats.urdf_write import add_joint, add_link, add_shape, new_robot, numbers_text, origin, shift, to_text
+from ik_toolkit.robot.formats.urdf_write import (
+    add_joint,
+    add_link,
+    add_shape,
+    new_robot,
+    numbers_text,
+    origin,
+    shift,
+    to_text,
+)
 from ik_toolkit.robot.library import shipped_robots
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
@@ -78,8 +87,8 @@ RADII = (0.039, 0.030, 0.036, 0.029, 0.029, 0.022, 0.019)  # [m] of the cylinder
 def with_masses(text: str, table) -> str:
     """Give the links of the inspection robot masses. The paper has none: ours are those of solid cylinders of steel.
 
-    A link has a cylinder of its length d or a of the table (the lift: of its stroke, hanging down) and, if it turns, a drum about its
-    joint's axis, which is twice as long as its radius.
+    A link has a cylinder of its length d or a of the table (the lift: of its stroke, hanging down) and, if it turns, a drum about
+    its joint's axis, twice as long as its radius.
     """
     robot = ET.fromstring(text)
     robot.insert(0, ET.Comment(" The masses are our assumption: solid cylinders of steel, see scripts/make_urdfs.py. "))
@@ -95,12 +104,16 @@ def with_masses(text: str, table) -> str:
         inertia = np.zeros((3, 3))
         for m, (place, axis, radius, length) in zip(masses, parts, strict=True):
             along, across, x = 0.5 * m * radius**2, m * (3.0 * radius**2 + length**2) / 12.0, place - centre
-            inertia += across * np.eye(3) + (along - across) * np.outer(axis, axis) + m * (x @ x * np.eye(3) - np.outer(x, x))
+            inertia += (
+                across * np.eye(3) + (along - across) * np.outer(axis, axis) + m * (x @ x * np.eye(3) - np.outer(x, x))
+            )
         link = next(link for link in robot.iter("link") if link.get("name") == f"link_{number}")
         inertial = ET.SubElement(link, "inertial")
         origin(inertial, shift(*centre.round(6)))
         ET.SubElement(inertial, "mass", value=numbers_text([masses.sum().round(4)]))
-        terms = {f"i{'xyz'[i]}{'xyz'[j]}": numbers_text([inertia[i, j].round(8)]) for i in range(3) for j in range(i, 3)}
+        terms = {
+            f"i{'xyz'[i]}{'xyz'[j]}": numbers_text([inertia[i, j].round(8)]) for i in range(3) for j in range(i, 3)
+        }
         ET.SubElement(inertial, "inertia", terms)
     return to_text(robot)
 

@@ -46,7 +46,7 @@ from .formulas import (
     printed_fk,
 )
 from .sample import sample
-from .weld_report import weld
+from .weld import weld
 
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:

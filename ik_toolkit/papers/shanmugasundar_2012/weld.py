@@ -1,4 +1,4 @@
-"""Inspection of the welds of a canister, the purpose of the robot of Shanmugasundar and Sivaramakrishnan (2012); the plan is ours."""
+"""Inspection of a canister's welds, the purpose of the robot of Shanmugasundar and Sivaramakrishnan (2012); the plan is ours."""
 
 import math
 from dataclasses import dataclass
@@ -19,9 +19,18 @@ from ...robot.geometry.collision import CollisionModel
 from ...robot.robot import Robot
 from ...solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windows
 from ...solvers.solve import Solver
+from ...study.reachability import reachability
+from ...style import COLOURS
 from ...validate import positive
+from ..report import Report
 
 MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
+SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
+    "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
+    "longitudinal, 50 to 650 mm": (0.0, np.linspace(0.05, 0.65, 41)),
+}
+TURNS = np.radians(np.arange(7.5, 360.0, 15.0))  # about the line of sight; at 90 deg arm_pitch would stay at its limit
+SPEED = 0.02  # speed of the tip along the seam [m/s]
 
 
 @dataclass(frozen=True)
@@ -66,7 +75,7 @@ class Canister:
 
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """How a seam of N poses is inspected: the windows of the lift of each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
+    """How a seam of N poses is inspected: windows of the lift for each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
 
     windows: list[list[LiftWindow]]
     branch: int
@@ -96,7 +105,7 @@ def _rows(motion: Trajectory) -> Any:
 
 
 def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
-    """Plan the inspection of a seam with the least travel of the lift (see `least_travel`), and certify the motion between its poses.
+    """Plan the inspection of a seam with the least travel of the lift (`least_travel`), and certify the motion between its poses.
 
     Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
     is taken. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out.
@@ -156,10 +165,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
     """
     made = {}
     for k in range(8):
-        rows = [
-            np.array([w[1:] for w in found if w.branch == k]).reshape(-1, 2) + (margin, -margin) for found in windows
-        ]
-        rows = [row[row[:, 1] > row[:, 0]] for row in rows]
+        ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
+        rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))  # (M,) all ends
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
@@ -173,7 +180,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
             costs.append(np.where(mask, np.minimum(up, down), np.inf))
         if not np.isfinite(costs[-1]).any():
             continue
-        w, j = np.unravel_index(np.argmin(costs[-1]), costs[-1].shape)
+        ties = np.argwhere(costs[-1] <= costs[-1].min() + 1e-12)
+        w, j = ties[len(ties) // 2]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
             total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
@@ -183,3 +191,137 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
             values.append(c[j])
         made[k] = np.array(values[::-1])
     return made
+
+
+# ----------------------------------------------------------------------------------------------------------- report
+def weld(report: Report, robot: Robot) -> None:
+    """Add the section to the report."""
+    report.heading("Beyond the paper: the welds of a canister, workspace and torques")
+    canister, plans, rows, forces = Canister(), {}, [], []
+    for name, seam in SEAMS.items():
+        seams = [canister.seam(*seam, turn=turn) for turn in TURNS]
+        seen = np.array([[bool(found) for found in lift_windows(robot, poses)] for poses in seams])
+        made = {k: inspect_weld(robot, seams[k], canister) for k in np.flatnonzero(seen.all(axis=1)).tolist()}
+        k = min(made, key=lambda k: (not made[k].path.success, round(made[k].travel, 6), made[k].path.length))
+        plan = plans[name] = made[k]
+        share, most = 100.0 * seen.mean(axis=0), 1000.0 * max(one.travel for one in made.values())
+        off, tilt = plan.path.deviation
+        rows.append([f"{name}, 41 poses", f"{share.min():.0f} to {share.max():.0f}", len(made), np.degrees(TURNS[k])])
+        rows[-1] += [
+            1000.0 * plan.travel,
+            most,
+            plan.path.status.name,
+            f"{1000 * off:.2f} mm, {np.degrees(tilt):.2f} deg",
+        ]
+        rows[-1].append(1000.0 * (plan.path.clearance or 0.0))
+        motion, torques, weight = plan.torques(tip_speed=SPEED)
+        forces += [[f"{name}, {motion.duration:.1f} s", *np.abs(torques).max(axis=0)]]
+        forces += [["of this by motion", *np.abs(torques - weight).max(axis=0)]]
+    head = [
+        "seam",
+        f"turns of {len(TURNS)} that see a pose (%)",
+        "that see all",
+        "turn taken (deg)",
+        "least lift travel (mm)",
+    ]
+    head += ["at the worst turn", "motion", "deviation at most", "clearance at least (mm)"]
+    report.table("weld", head, rows)
+    report.text(
+        f"""The robot is to look at the welds of canisters; the paper plans none. Ours stands {canister.foot[0]:g} m in
+        front of the robot, with a radius of {1000 * canister.radius:g} mm. The tool looks along its x axis, at right angles
+        to the surface, 50 mm away, and one turn about this line is kept along a seam. At each pose the lifts that keep all
+        limits are exact intervals, a branch at a time: a joint can be at a limit only at the roots of polynomials of degree
+        12 or less. The sum of the steps of the lift is the least over all lifts in these intervals, {1000 * MARGIN:g} mm
+        from their ends, at the 41 poses, on one branch. Between the poses the motion is certified: its deviation is
+        bounded, and it keeps the clearance from the canister and from itself."""
+    )
+    report.figure(
+        "weld.png",
+        "Above: the girth weld, seen from above; below: the longitudinal weld, seen from the side. Right: intervals of the lift on "
+        "the branch of the plan (blue) and on all (grey), with the lift of least travel (red)",
+        draw_weld(robot, canister, plans),
+    )
+    names = [
+        f"{name} ({'N' if slides else 'Nm'})" for name, slides in zip(robot.joint_names, robot.slides, strict=True)
+    ]
+    report.table("torques", [f"largest at {1000 * SPEED:g} mm/s", *names], forces)
+    any_, gaze = maps(robot, canister)
+    report.number("workspace", {"any orientation": any_.counts(), "gaze": gaze.counts()})
+    report.text(
+        f"""Torques by Pinocchio (recursive Newton-Euler), joints accelerating by at most 1 rad/s^2 or m/s^2. The paper gives
+        no masses; ours are those of solid steel cylinders of the lengths of Table 2. In the vertical half plane in front of
+        the column, 1.6 m high and 0.6 m wide, the tip reaches {100 * any_.reached.mean():.0f} % of {any_.reached.size} cells
+        of 20 mm with some orientation. With a level gaze outwards, at least one of 12 turns reaches
+        {100 * gaze.reached.mean():.0f} % of {gaze.reached.size} cells of 50 mm there."""
+    )
+    caption = "Workspace in front of the column: share of 12 turns reached with a level gaze; line: reached with some orientation"
+    report.figure("workspace.png", caption, draw_maps(any_, gaze))
+
+
+def maps(robot: Robot, canister: Canister) -> tuple[Any, Any]:
+    """Return the workspace in the half plane y = 0, x > 0: with any orientation, and for a level gaze with 12 turns."""
+    gaze = np.array([canister.seam(0.0, 0.0, turn=turn)[0, :3, :3] for turn in TURNS[::2]])
+    plane = ((0.0, 0.0, 0.0), (0.6, 0.0, 1.6))
+    any_ = reachability(robot, plane, resolution=0.02, audit=200)
+    return any_, reachability(robot, plane, resolution=0.05, orientations=gaze, audit=200)
+
+
+def draw_weld(robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> Any:
+    """Draw for each plan the arm at five poses (girth: from above) and its lifts."""
+    from ...show.body import joint_frames
+
+    def draw(plt: Any) -> Any:
+        figure, axes = plt.subplots(len(plans), 2, figsize=(8.0, 6.4), layout="constrained", width_ratios=(4, 5))
+        x, y, z = canister.foot
+        for (left, right), (name, plan), k in zip(axes, plans.items(), (1, 2), strict=True):
+            if k == 1:
+                left.add_patch(plt.Circle((x, y), canister.radius, color="0.85"))
+            else:
+                left.add_patch(
+                    plt.Rectangle((x - canister.radius, z), 2 * canister.radius, canister.height, color="0.85")
+                )
+                left.plot([0, 0], [0, 0.53], color="0.5", lw=7, solid_capstyle="butt")
+            seam = plan.path.targets[:, 0]
+            for q in plan.path.q[:: (len(seam) - 1) // 4]:
+                places = np.vstack([joint_frames(robot, q)[[2, 3, 5, 7], :3, 3], robot.fk(q).translation])
+                left.plot(places[:, 0], places[:, k], "-o", color=COLOURS[0], lw=2, ms=3.5, mfc="white")
+            left.plot(seam[:, 0, 3], seam[:, k, 3], color=COLOURS[1], lw=1.5)
+            left.set(xlabel="x (m)", ylabel=f"{'xyz'[k]} (m)", title=name, aspect="equal")
+            for pose, found in enumerate(plan.windows):
+                for one in sorted(found, key=lambda one: one.branch == plan.branch):
+                    colour = COLOURS[0] if one.branch == plan.branch else "0.85"
+                    right.bar(pose, 1000 * (one.high - one.low), 1.02, 1000 * one.low, color=colour)
+            right.plot(1000 * plan.lifts, color=COLOURS[1], lw=2)
+            right.set(
+                xlabel="pose along the seam",
+                ylabel="lift (mm)",
+                title=f"travel {1000 * plan.travel:.1f} mm",
+                ylim=(-10, 450),
+            )
+        return figure
+
+    return draw
+
+
+def draw_maps(any_: Any, gaze: Any) -> Any:
+    """Draw the share of turns of the map `gaze`, inside the outline of the map `any_`."""
+
+    def draw(plt: Any) -> Any:
+        figure, axis = plt.subplots(figsize=(4.6, 4.8), layout="constrained")
+        low, high = (np.array(gaze.grid.low), gaze.grid.low + np.multiply(gaze.grid.size, gaze.grid.shape))
+        box = {
+            "origin": "lower",
+            "extent": (low[0], high[0], low[2], high[2]),
+            "interpolation": "nearest",
+            "aspect": "equal",
+        }
+        share = gaze.slice("y", 0.0, "share")[0]
+        image = axis.imshow(np.where(share > 0.0, share, np.nan).T, cmap="viridis", vmin=0.0, vmax=1.0, **box)
+        x, z = (any_.grid.low[k] + any_.grid.size[k] * (np.arange(any_.grid.shape[k]) + 0.5) for k in (0, 2))
+        axis.contour(x, z, any_.reached[:, 0].T, levels=[0.5], colors=COLOURS[1])
+        axis.grid(False)
+        axis.set(xlabel="x (m)", ylabel="z (m)")
+        figure.colorbar(image, ax=axis, shrink=0.8, label="share of 12 turns reached with a level gaze")
+        return figure
+
+    return draw

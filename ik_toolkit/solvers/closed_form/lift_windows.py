@@ -27,7 +27,7 @@ DOUBLE = (
     1e-3  # Roots count as real up to this imaginary part (of half the interval), because rounding splits double roots.
 )
 HALVINGS = 52  # number of bisections, after which an end is exact to rounding
-JUMP, GAP = 0.1, 1e-9  # A branch that moves by 0.1 rad over 2e-9 of an interval jumps: axes 1 and 4 are parallel there.
+JUMP, GAP = 0.1, 1e-6  # A branch that moves by 0.1 rad over 2e-6 of an interval jumps: axes 1 and 4 are parallel there.
 
 
 class LiftWindow(NamedTuple):
@@ -64,8 +64,8 @@ def at_lifts(robot: Any, T: Any, lifts: Any) -> tuple[np.ndarray, np.ndarray]:
 def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
     """Return the intervals of the lift in which each pose is solved inside all limits, for each of the eight branches.
 
-    The ends are exact to rounding. Left out are single lifts where two limits meet, or where axes 1 and 4 are parallel and joint 1
-    is free; a branch that passes through the latter has a window on either side.
+    The ends are exact to rounding. Left out are single lifts where two limits meet, and those where axes 1 and 4 are parallel, so
+    that joint 1 is free: a branch jumps there, and has a window on either side, up to a millionth of the interval of reach.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -80,7 +80,7 @@ def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
         InvalidTarget: A pose is not valid.
     """
     p, box = _bind(robot)
-    sign, place = p[LIFT + 1], int(p[LIFT])
+    sign, place = float(p[LIFT + 1]), int(p[LIFT])
     made: list[list[LiftWindow]] = []
     for target in poses:
         T = check_target(target, robot.base)[0]
@@ -90,7 +90,7 @@ def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
             )
         spans = feasible_lifts(p, T, robot.lower[place], robot.upper[place])
         found = [one for span in spans for one in _windows(p, T, box, *sorted(sign * x for x in span))]
-        made.append(sorted(LiftWindow(k, *sorted((sign * a, sign * b))) for k, a, b in found))
+        made.append(sorted(LiftWindow(k, *sorted((sign * a + 0.0, sign * b + 0.0))) for k, a, b in found))
     return made
 
 
@@ -126,6 +126,7 @@ def _windows(p: np.ndarray, T: np.ndarray, box: np.ndarray, low: float, high: fl
         kept = _rows(p, T, box, d)[1][k, np.arange(len(k))] == 0.0
         inside, outside = np.where(kept, d, inside), np.where(kept, outside, d)
     ends[k, i + 1] = inside
+    ends[:, 1:m] -= gap * jumps
     made = []
     for k in range(8):
         start = low
@@ -133,7 +134,7 @@ def _windows(p: np.ndarray, T: np.ndarray, box: np.ndarray, low: float, high: fl
             if i + 1 == m or turned[k, i] or jumps[k, i]:
                 if good[k, i] and ends[k, i + 1] > start:
                     made.append(LiftWindow(k, float(start), float(ends[k, i + 1])))
-                start = ends[k, i + 1]
+                start = ends[k, i + 1] + (2.0 * gap if i + 1 < m and jumps[k, i] else 0.0)
     return made
 
 

@@ -1,0 +1,230 @@
+"""Inspection of a canister's welds: exact intervals of the lift, the least travel, the certified motion, masses and torques."""
+
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import second_fk
+from folders import ROOT
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, InvalidTarget, UnknownSolver
+from ik_toolkit.papers.shanmugasundar_2012.weld import Canister, inspect_weld, least_travel
+from ik_toolkit.paths.result import PathStatus
+from ik_toolkit.solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windows
+
+CASES = 300
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("inspection_7dof")
+
+
+def random_poses(arm, rng, count):
+    """Poses of random configurations; every fifth has a level gaze, where axes 1 and 4 can be parallel or joint 3 at its limit."""
+    made = []
+    for k in range(count):
+        T = arm.fk(arm.random_q(rng)).homogeneous
+        if k % 5 == 0:
+            turn = rng.choice([0.0, 0.5 * math.pi, rng.uniform(-math.pi, math.pi)])
+            T[:3, :3] = Canister().seam(rng.uniform(-0.5, 0.5), 0.1, turn=turn)[0, :3, :3]
+        made.append(T)
+    return np.array(made)
+
+
+@pytest.fixture(scope="module")
+def listed(arm):
+    """Random poses and their windows."""
+    poses = random_poses(arm, np.random.default_rng(0), CASES)
+    return list(zip(poses, lift_windows(arm, poses), strict=True))
+
+
+def outside_of(windows, rng, low, high):
+    """A lift that is in no window and at least 1 mm from all, or None."""
+    for d in rng.uniform(low, high, 20):
+        if all(d < w.low - 1e-3 or d > w.high + 1e-3 for w in windows):
+            return float(d)
+    return None
+
+
+def search_at(T, lift, restarts=20):
+    """Whether an iterative search finds a solution with the lift locked; it knows nothing of the closed form."""
+    fixed = ik.Robot.load("inspection_7dof", locked={"lift": lift})
+    return ik.solve(fixed, T, "lm", restarts=restarts, seed=1).success
+
+
+def test_inside_the_windows_are_solutions_and_beyond_their_ends_none(arm, listed):
+    for T, windows in listed:
+        if not windows:
+            continue
+        inside = [w.low + np.array([1e-7, 0.3, 1.0 - 1e-7]) * (w.high - w.low) for w in windows]
+        lifts = np.concatenate([(w.low - 1e-6, *d, w.high + 1e-6) for w, d in zip(windows, inside, strict=True)])
+        Q, broken = at_lifts(arm, T, lifts)
+        for i, w in enumerate(windows):
+            q, over = Q[w.branch, 5 * i : 5 * i + 5], broken[w.branch, 5 * i : 5 * i + 5]
+            off = np.abs(arm.chain.forward(q)[0] - T).max(axis=(1, 2))
+            assert off[1:4].max() < 2e-9  # A joint that exceeds a limit by 1e-9 is put on it.
+            assert np.abs(arm.fk(q[2]).homogeneous - T).max() < 1e-9  # Pinocchio
+            assert (q[1:4] >= arm.lower - 1e-8).all() and (q[1:4] <= arm.upper + 1e-8).all()
+            for end, k in ((w.low, 0), (w.high, 4)):
+                another = any(
+                    o is not w and o.branch == w.branch and abs(end - x) < 1e-6 for o in windows for x in o[1:]
+                )
+                assert another or over[k] > 0.0 or off[k] > 1e-9
+
+
+def test_no_branch_keeps_the_limits_outside_its_windows(arm, listed):
+    """A grid of 501 lifts finds no lift outside, without the polynomials."""
+    lifts = np.linspace(arm.lower[1], arm.upper[1], 501)
+    for T, windows in listed:
+        Q, broken = at_lifts(arm, T, lifts)
+        inside = np.zeros((8, len(lifts)), dtype=bool)
+        for w in windows:
+            inside[w.branch] |= (lifts >= w.low - 1e-6) & (lifts <= w.high + 1e-6)
+        doubtful = Q[(broken == 0.0) & ~inside]  # Those must be out of reach: at another pose.
+        if len(doubtful):
+            assert np.abs(arm.chain.forward(doubtful)[0] - T).max(axis=(1, 2)).min() > 1e-9
+
+
+def test_an_independent_search_finds_nothing_outside_the_windows(arm, listed):
+    rng, tried = np.random.default_rng(2), 0
+    for T, windows in listed[:40]:
+        lift = outside_of(windows, rng, arm.lower[1], arm.upper[1])
+        if lift is not None:
+            assert not search_at(T, lift)
+            tried += 1
+        if windows:
+            w = max(windows, key=lambda one: one.high - one.low)
+            assert search_at(T, 0.5 * (w.low + w.high), restarts=60)
+    assert tried > 20
+
+
+def test_windows_are_refused_where_they_mean_nothing(arm):
+    with pytest.raises(UnknownSolver):
+        lift_windows(ik.Robot.load("hydrolek_7w"), np.eye(4)[None])
+    locked = ik.Robot.load("inspection_7dof", locked={"lift": 0.2})
+    with pytest.raises(InvalidOption, match="no lift"):
+        lift_windows(locked, np.eye(4)[None])
+    with pytest.raises(InvalidTarget, match="orientation"):
+        lift_windows(arm, [[0.4, 0.0, 0.7]])
+    with pytest.raises(InvalidTarget):
+        lift_windows(arm, np.eye(4))
+
+
+def dense_program(rows, step):
+    """The least travel over a grid of lifts, by dynamic programming: never below the least, and above by at most 2 N steps."""
+    c = np.arange(0.0, 0.44, step)
+    cost = np.where([any(a <= x <= b for a, b in rows[0]) for x in c], 0.0, np.inf)
+    for row in rows[1:]:
+        cost = (cost[None] + np.abs(c[:, None] - c[None])).min(axis=1)
+        cost = np.where([any(a <= x <= b for a, b in row) for x in c], cost, np.inf)
+    return cost.min()
+
+
+def test_least_travel_is_least():
+    """Against a dense dynamic programme, for random walks of windows, two to a pose in every third sequence."""
+    rng = np.random.default_rng(3)
+    step, found = 0.002, 0
+    for case in range(60):
+        middle = 0.22 + np.cumsum(rng.uniform(-0.05, 0.05, 12))
+        half = rng.uniform(0.02, 0.05, 12)
+        rows = [[(max(m - h, 0.0), min(m + h, 0.43))] for m, h in zip(np.clip(middle, 0.06, 0.37), half, strict=True)]
+        if case % 3 == 0:  # the same windows with a gap, whose sides both overlap with their neighbours
+            rows = [[(a, 0.5 * (a + b) - 0.004), (0.5 * (a + b) + 0.004, b)] for ((a, b),) in rows]
+        plan = least_travel([[LiftWindow(0, a, b) for a, b in row] for row in rows], margin=0.0)
+        dense = dense_program(rows, step)
+        if case % 3 and plan:
+            d = plan[0]
+            travel = np.abs(np.diff(d)).sum()
+            assert all(any(a - 1e-12 <= x <= b + 1e-12 for a, b in row) for x, row in zip(d, rows, strict=True))
+            assert dense - 2 * len(rows) * step <= travel <= dense + 1e-9
+            found += 1
+        elif plan:  # fewer steps are allowed than in the dense programme: only between windows that overlap
+            assert np.abs(np.diff(plan[0])).sum() >= dense - 2 * len(rows) * step
+    assert found > 20
+
+
+@pytest.mark.parametrize("seam", [(np.radians(np.linspace(-40.0, 40.0, 21)), 0.35), (0.0, np.linspace(0.05, 0.65, 21))])
+def test_a_seam_is_followed_in_one_certified_motion(arm, seam):
+    canister, turn = Canister(), math.radians(60.0)
+    poses = canister.seam(*seam, standoff=0.04, turn=turn)
+    points = poses[:, :3, 3] + 0.04 * poses[:, :3, 0]  # along the line of sight
+    assert np.allclose(np.hypot(*(points[:, :2] - canister.foot[:2]).T), canister.radius)
+    plan = inspect_weld(arm, poses, canister)
+    path = plan.path
+    assert path.status == PathStatus.FOLLOWED and path.clearance > 0.01
+    fk = second_fk.SecondFK((ROOT / "urdf" / "inspection_7dof.urdf").read_text(), arm.base, arm.tip)
+    assert np.abs(fk.fk(path.q, arm.joint_names) - poses).max() < 1e-9
+    assert np.allclose(path.q[:, 1], plan.lifts)
+    for a, b in zip(path.curve[:-1], path.curve[1:], strict=True):
+        assert (np.minimum(a, b) >= arm.lower - 1e-12).all() and (np.maximum(a, b) <= arm.upper + 1e-12).all()
+    rng = np.random.default_rng(4)
+    for _ in range(100):  # the bound holds wherever the motion is sampled
+        k, s = rng.integers(len(path.curve) - 1), rng.uniform()
+        at = path.at[k] + s * (path.at[k + 1] - path.at[k])
+        i = min(int(at), len(poses) - 2)
+        wanted = poses[i, :3, 3] + (at - i) * (poses[i + 1, :3, 3] - poses[i, :3, 3])
+        q = path.curve[k] + s * (path.curve[k + 1] - path.curve[k])
+        assert np.linalg.norm(fk.fk(q[None], arm.joint_names)[0, :3, 3] - wanted) <= path.continuity.deviation[k]
+
+
+def test_a_seam_that_is_not_reached_says_which_pose(arm):
+    with pytest.raises(InvalidOption, match="pose 0 is not reached"):
+        inspect_weld(arm, Canister().seam(np.radians([180.0, 170.0]), 0.3))
+    with pytest.raises(InvalidOption, match=r"heights between 0 and 0\.7 m"):
+        Canister().seam(0.0, 0.8)
+
+
+def bodies(arm):
+    """Mass [kg] and centre (3,) [m, link frame] of each link, from the URDF text."""
+    found = {}
+    for link in ET.parse(ROOT / "urdf" / "inspection_7dof.urdf").getroot().iter("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            centre = [float(x) for x in inertial.find("origin").get("xyz").split()]
+            found[link.get("name")] = float(inertial.find("mass").get("value")), np.array(centre)
+    return found
+
+
+def weights(arm, q, links):
+    """Joint torques and forces (7,) that hold the links still, by hand: derivative of the height of the masses."""
+
+    def energy(q):
+        made = pin.Data(arm.model)
+        pin.framesForwardKinematics(arm.model, made, q)
+        return sum(9.81 * m * (made.oMf[arm.model.getFrameId(name)].act(c))[2] for name, (m, c) in links.items())
+
+    h = 1e-6
+    return np.array([(energy(q + h * e) - energy(q - h * e)) / (2 * h) for e in np.eye(7)])
+
+
+def test_masses_are_those_of_steel_cylinders(arm):
+    links = bodies(arm)
+    assert set(links) == {f"link_{k}" for k in range(1, 8)}
+    bar, drum = math.pi * 0.029**2 * 0.29, math.pi * (1.35 * 0.029) ** 2 * 2.7 * 0.029
+    assert links["link_4"][0] == pytest.approx(7850.0 * (bar + drum), rel=1e-4)
+    assert links["link_4"][1] == pytest.approx([0.145 * bar / (bar + drum), 0.0, 0.0], abs=1e-6)
+    assert links["link_2"][0] == pytest.approx(7850.0 * math.pi * 0.03**2 * 0.44, rel=1e-4)
+
+
+def test_torques_along_a_weld_are_those_of_weight_and_of_the_work_done(arm):
+    pytest.importorskip("scipy")
+    plan = inspect_weld(arm, Canister().seam(0.0, np.linspace(0.2, 0.5, 11), turn=math.radians(60.0)))
+    motion, torques, weight = plan.torques(tip_speed=0.05)
+    links = bodies(arm)
+    for k in (0, len(motion.q) // 2, -1):
+        assert weight[k] == pytest.approx(weights(arm, motion.q[k], links), abs=1e-5)
+    carried = sum(m for name, (m, _) in links.items() if name != "link_1")
+    assert weight[:, 1] == pytest.approx(9.81 * carried)
+    # The work of the joints is the energy gained.
+    data, model = arm.model.createData(), arm.model
+    energy = [
+        pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+        for q, v in zip(motion.q, motion.dq, strict=True)
+    ]
+    power = (torques * motion.dq).sum(axis=1)
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(motion.t))])
+    assert np.abs(work - (np.array(energy) - energy[0])).max() < 0.01 * np.ptp(energy)
