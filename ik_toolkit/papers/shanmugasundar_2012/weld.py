@@ -160,14 +160,17 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
 
     The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
     neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
-    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Nothing
-    is said about the lift between the poses, nor about motions that change the branch.
+    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Of equal
+    ones, that which ends in the middle is taken, and the lift rests as long as it can before. Nothing is said about the lift between the poses, nor about motions that change the branch.
     """
     made = {}
     for k in range(8):
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
-        c = np.unique(np.concatenate(rows))  # (M,) all ends
+        c = np.unique(np.concatenate(rows))
+        c = np.sort(
+            np.concatenate([c, 0.5 * (c[1:] + c[:-1])])
+        )  # all ends, and values between for the choice among equals
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
@@ -181,7 +184,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         if not np.isfinite(costs[-1]).any():
             continue
         ties = np.argwhere(costs[-1] <= costs[-1].min() + 1e-12)
-        w, j = ties[len(ties) // 2]
+        w, j = ties[np.argmin(np.abs(c[ties[:, 1]] - 0.5 * (c[ties[:, 1].min()] + c[ties[:, 1].max()])))]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
             total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
