@@ -161,7 +161,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
     The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
     neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
     the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Of equal
-    ones, that which ends in the middle is taken, and the lift rests as long as it can before. Nothing is said about the lift between the poses, nor about motions that change the branch.
+    ones, that which ends in the middle is taken, and the lift rests as long as it can before. Nothing is said about the lift
+    between the poses, nor about motions that change the branch.
     """
     made = {}
     for k in range(8):
