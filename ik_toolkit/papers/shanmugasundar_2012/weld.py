@@ -29,7 +29,6 @@ SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
     "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
     "longitudinal, 50 to 650 mm": (0.0, np.linspace(0.05, 0.65, 41)),
 }
-TURNS = np.radians(np.arange(7.5, 360.0, 15.0))  # about the line of sight; at 90 deg arm_pitch would stay at its limit
 SPEED = 0.02  # speed of the tip along the seam [m/s]
 
 
@@ -198,19 +197,20 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
 
 
 # ----------------------------------------------------------------------------------------------------------- report
-def weld(report: Report, robot: Robot) -> None:
-    """Add the section to the report."""
+def weld(report: Report, robot: Robot, count: int) -> None:
+    """Add the section to the report, with turns about the line of sight; none is 90 deg, where joint 3 is at its limit."""
+    turns = np.radians(360.0 / count * (np.arange(count) + 0.5))
     report.heading("Beyond the paper: the welds of a canister, workspace and torques")
     canister, plans, rows, forces = Canister(), {}, [], []
     for name, seam in SEAMS.items():
-        seams = [canister.seam(*seam, turn=turn) for turn in TURNS]
+        seams = [canister.seam(*seam, turn=turn) for turn in turns]
         seen = np.array([[bool(found) for found in lift_windows(robot, poses)] for poses in seams])
         made = {k: inspect_weld(robot, seams[k], canister) for k in np.flatnonzero(seen.all(axis=1)).tolist()}
         k = min(made, key=lambda k: (not made[k].path.success, round(made[k].travel, 6), made[k].path.length))
         plan = plans[name] = made[k]
         share, most = 100.0 * seen.mean(axis=0), 1000.0 * max(one.travel for one in made.values())
         off, tilt = plan.path.deviation
-        rows.append([f"{name}, 41 poses", f"{share.min():.0f} to {share.max():.0f}", len(made), np.degrees(TURNS[k])])
+        rows.append([f"{name}, 41 poses", f"{share.min():.0f} to {share.max():.0f}", len(made), np.degrees(turns[k])])
         rows[-1] += [
             1000.0 * plan.travel,
             most,
@@ -223,7 +223,7 @@ def weld(report: Report, robot: Robot) -> None:
         forces += [["of this by motion", *np.abs(torques - weight).max(axis=0)]]
     head = [
         "seam",
-        f"turns of {len(TURNS)} that see a pose (%)",
+        f"turns of {count} that see a pose (%)",
         "that see all",
         "turn taken (deg)",
         "least lift travel (mm)",
@@ -249,22 +249,22 @@ def weld(report: Report, robot: Robot) -> None:
         f"{name} ({'N' if slides else 'Nm'})" for name, slides in zip(robot.joint_names, robot.slides, strict=True)
     ]
     report.table("torques", [f"largest at {1000 * SPEED:g} mm/s", *names], forces)
-    any_, gaze = maps(robot, canister)
+    any_, gaze = maps(robot, canister, turns[::2])
     report.number("workspace", {"any orientation": any_.counts(), "gaze": gaze.counts()})
     report.text(
         f"""Torques by Pinocchio (recursive Newton-Euler), joints accelerating by at most 1 rad/s^2 or m/s^2. The paper gives
         no masses; ours are those of solid steel cylinders of the lengths of Table 2. In the vertical half plane in front of
         the column, 1.6 m high and 0.6 m wide, the tip reaches {100 * any_.reached.mean():.0f} % of {any_.reached.size} cells
-        of 20 mm with some orientation. With a level gaze outwards, at least one of 12 turns reaches
+        of 20 mm with some orientation. With a level gaze outwards, at least one of {len(turns[::2])} turns reaches
         {100 * gaze.reached.mean():.0f} % of {gaze.reached.size} cells of 50 mm there."""
     )
-    caption = "Workspace in front of the column: share of 12 turns reached with a level gaze; line: reached with some orientation"
+    caption = "Workspace in front of the column: share of turns reached with a level gaze; line: reached with some orientation"
     report.figure("workspace.png", caption, draw_maps(any_, gaze))
 
 
-def maps(robot: Robot, canister: Canister) -> tuple[Any, Any]:
-    """Return the workspace in the half plane y = 0, x > 0: with any orientation, and for a level gaze with 12 turns."""
-    gaze = np.array([canister.seam(0.0, 0.0, turn=turn)[0, :3, :3] for turn in TURNS[::2]])
+def maps(robot: Robot, canister: Canister, turns: np.ndarray) -> tuple[Any, Any]:
+    """Return the workspace in the half plane y = 0, x > 0: with any orientation, and for a level gaze with some turns."""
+    gaze = np.array([canister.seam(0.0, 0.0, turn=turn)[0, :3, :3] for turn in turns])
     plane = ((0.0, 0.0, 0.0), (0.6, 0.0, 1.6))
     any_ = reachability(robot, plane, resolution=0.02, audit=200)
     return any_, reachability(robot, plane, resolution=0.05, orientations=gaze, audit=200)
@@ -325,7 +325,7 @@ def draw_maps(any_: Any, gaze: Any) -> Any:
         axis.contour(x, z, any_.reached[:, 0].T, levels=[0.5], colors=COLOURS[1])
         axis.grid(False)
         axis.set(xlabel="x (m)", ylabel="z (m)")
-        figure.colorbar(image, ax=axis, shrink=0.8, label="share of 12 turns reached with a level gaze")
+        figure.colorbar(image, ax=axis, shrink=0.8, label="share of turns reached with a level gaze")
         return figure
 
     return draw
