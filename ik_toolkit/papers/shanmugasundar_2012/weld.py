@@ -16,6 +16,7 @@ from ...paths.path_problem import STEP
 from ...paths.result import PathResult, PathStatus
 from ...paths.solve_path import TOLERANCE
 from ...robot.geometry.collision import CollisionModel
+from ...robot.pose import check_target
 from ...robot.robot import Robot
 from ...solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windows
 from ...solvers.solve import Solver
@@ -95,12 +96,9 @@ class WeldPlan:
 
         model, motion = self.path.robot.model, self.path.retime(acceleration=acceleration, tip_speed=tip_speed)
         data, rest = model.createData(), np.zeros(model.nv)
-        rows = [(pin.rnea(model, data, *row), pin.rnea(model, data, row[0], rest, rest)) for row in _rows(motion)]
-        return motion, *np.array(rows).swapaxes(0, 1)
-
-
-def _rows(motion: Trajectory) -> Any:
-    return zip(motion.q, motion.dq, motion.ddq, strict=True)
+        rows = zip(motion.q, motion.dq, motion.ddq, strict=True)
+        both = [(pin.rnea(model, data, q, dq, ddq), pin.rnea(model, data, q, rest, rest)) for q, dq, ddq in rows]
+        return motion, *np.array(both).swapaxes(0, 1)
 
 
 def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
@@ -118,7 +116,10 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
     Raises:
         InvalidOption: No branch has a window at every pose; the message names the first pose that none reaches.
     """
-    poses, windows, model = np.asarray(poses, dtype=float), lift_windows(robot, poses), None
+    poses = np.array([check_target(T, robot.base)[0] for T in poses])
+    if len(poses) < 2:
+        raise InvalidOption(f"a seam needs at least two poses, not {len(poses)}")
+    windows, model = lift_windows(robot, poses), None
     if canister is not None:
         middle = np.add(canister.foot, (0.0, 0.0, 0.5 * canister.height))
         model = CollisionModel(robot).add_cylinder(canister.radius, canister.height, middle, name="canister")
@@ -127,13 +128,8 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
         q = np.array([at_lifts(robot, T, d)[0][branch, 0] for T, d in zip(poses, lifts, strict=True)])
         made.append(WeldPlan(windows, branch, lifts, certified(robot, poses, q, model)))
     if not made:
-        lost = [k for k, found in enumerate(windows) if not found]
-        why = (
-            f"pose {lost[0]} is not reached inside the limits"
-            if lost
-            else "no branch reaches all poses: change the turn"
-        )
-        raise InvalidOption(f"this seam has no plan: {why}")
+        lost = [f"pose {k} is not reached inside the limits" for k, found in enumerate(windows) if not found]
+        raise InvalidOption(f"this seam has no plan: {[*lost, 'no branch reaches all poses; change the turn'][0]}")
     return min(made, key=lambda one: (not one.path.success, round(one.travel, 9), one.path.length))
 
 
@@ -168,16 +164,12 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))
-        c = np.sort(
-            np.concatenate([c, 0.5 * (c[1:] + c[:-1])])
-        )  # all ends, and values between for the choice among equals
+        c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))  # all ends, and values between to choose among equals
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
         for mask, link in zip(inside[1:], joined, strict=True):
-            base = np.where(link.T[:, :, None], costs[-1], np.inf).min(
-                axis=1, initial=np.inf
-            )  # least cost at each value so far
+            base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1, initial=np.inf)  # least cost so far
             up = np.minimum.accumulate(base - c, axis=1) + c
             down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
             costs.append(np.where(mask, np.minimum(up, down), np.inf))
@@ -187,9 +179,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         w, j = ties[np.argmin(np.abs(c[ties[:, 1]] - 0.5 * (c[ties[:, 1].min()] + c[ties[:, 1].max()])))]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-            total = np.where(link[:, w, None], cost, np.inf) + (1.0 + 1e-9) * np.abs(
-                c - values[-1]
-            )  # if equal, the lift rests
+            step = (1.0 + 1e-9) * np.abs(c - values[-1])  # of equal ways, that on which the lift rests
+            total = np.where(link[:, w, None], cost, np.inf) + step
             w, j = np.unravel_index(np.argmin(total), total.shape)
             values.append(c[j])
         made[k] = np.array(values[::-1])
@@ -249,25 +240,27 @@ def weld(report: Report, robot: Robot, count: int) -> None:
         f"{name} ({'N' if slides else 'Nm'})" for name, slides in zip(robot.joint_names, robot.slides, strict=True)
     ]
     report.table("torques", [f"largest at {1000 * SPEED:g} mm/s", *names], forces)
-    any_, gaze = maps(robot, canister, turns[::2])
+    plane = ((-0.6, 0.0, 0.0), (0.6, 0.0, 1.6))
+    any_ = reachability(robot, plane, resolution=0.02, audit=200)
+    level = np.array([canister.seam(0.0, 0.0, turn=turn)[0, :3, :3] for turn in turns[::2]])
+    gaze = reachability(robot, plane, resolution=0.08, orientations=level, audit=200)
     report.number("workspace", {"any orientation": any_.counts(), "gaze": gaze.counts()})
     report.text(
         f"""Torques by Pinocchio (recursive Newton-Euler), joints accelerating by at most 1 rad/s^2 or m/s^2. The paper gives
-        no masses; ours are those of solid steel cylinders of the lengths of Table 2. In the vertical half plane in front of
-        the column, 1.6 m high and 0.6 m wide, the tip reaches {100 * any_.reached.mean():.0f} % of {any_.reached.size} cells
-        of 20 mm with some orientation. With a level gaze outwards, at least one of {len(turns[::2])} turns reaches
-        {100 * gaze.reached.mean():.0f} % of {gaze.reached.size} cells of 50 mm there."""
+        no masses; ours are those of solid steel cylinders of the lengths of Table 2. In the vertical plane through the
+        column, 1.2 m wide and 1.6 m high, the tip reaches {100 * any_.reached.mean():.0f} % of {any_.reached.size} cells of
+        20 mm with some orientation. Looking level along x, at least one of {len(level)} turns reaches
+        {100 * gaze.reached.mean():.0f} % of {gaze.reached.size} cells of 80 mm."""
     )
-    caption = "Workspace in front of the column: share of turns reached with a level gaze; line: reached with some orientation"
-    report.figure("workspace.png", caption, draw_maps(any_, gaze))
+    caption = "Workspace in the plane of the column: share of turns reached when looking level along x"
+    report.figure("workspace.png", caption, draw_map(gaze))
 
 
-def maps(robot: Robot, canister: Canister, turns: np.ndarray) -> tuple[Any, Any]:
-    """Return the workspace in the half plane y = 0, x > 0: with any orientation, and for a level gaze with some turns."""
-    gaze = np.array([canister.seam(0.0, 0.0, turn=turn)[0, :3, :3] for turn in turns])
-    plane = ((0.0, 0.0, 0.0), (0.6, 0.0, 1.6))
-    any_ = reachability(robot, plane, resolution=0.02, audit=200)
-    return any_, reachability(robot, plane, resolution=0.05, orientations=gaze, audit=200)
+def draw_map(found: Any) -> Any:
+    """Draw a map of the workspace."""
+    from ...show.reach_pictures import plot_map
+
+    return lambda plt: plot_map(found)
 
 
 def draw_weld(robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> Any:
@@ -302,30 +295,6 @@ def draw_weld(robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> A
                 title=f"travel {1000 * plan.travel:.1f} mm",
                 ylim=(-10, 450),
             )
-        return figure
-
-    return draw
-
-
-def draw_maps(any_: Any, gaze: Any) -> Any:
-    """Draw the share of turns of the map `gaze`, inside the outline of the map `any_`."""
-
-    def draw(plt: Any) -> Any:
-        figure, axis = plt.subplots(figsize=(4.6, 4.8), layout="constrained")
-        low, high = (np.array(gaze.grid.low), gaze.grid.low + np.multiply(gaze.grid.size, gaze.grid.shape))
-        box = {
-            "origin": "lower",
-            "extent": (low[0], high[0], low[2], high[2]),
-            "interpolation": "nearest",
-            "aspect": "equal",
-        }
-        share = gaze.slice("y", 0.0, "share")[0]
-        image = axis.imshow(np.where(share > 0.0, share, np.nan).T, cmap="viridis", vmin=0.0, vmax=1.0, **box)
-        x, z = (any_.grid.low[k] + any_.grid.size[k] * (np.arange(any_.grid.shape[k]) + 0.5) for k in (0, 2))
-        axis.contour(x, z, any_.reached[:, 0].T, levels=[0.5], colors=COLOURS[1])
-        axis.grid(False)
-        axis.set(xlabel="x (m)", ylabel="z (m)")
-        figure.colorbar(image, ax=axis, shrink=0.8, label="share of turns reached with a level gaze")
         return figure
 
     return draw
