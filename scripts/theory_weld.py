@@ -5,7 +5,8 @@
 3. At a lift outside all windows, 1 mm from their ends, an iterative search with the lift locked finds nothing.
 4. `least_travel` is a least: no grid programme of 2 mm finds less, and it finds at most its own rounding more.
 
-Poses are those of random configurations inside the limits; every fifth gets a level gaze with the tool upright, flat or in between.
+The robots are the arm and nine variants with random limits and reversed axes. Poses are those of random configurations inside the
+limits; every fifth gets a level gaze with the tool upright, flat or in between.
 """
 
 import argparse
@@ -16,18 +17,17 @@ import numpy as np
 
 import ik_toolkit as ik
 from ik_toolkit.papers.shanmugasundar_2012.weld import least_travel
-from ik_toolkit.solvers.closed_form.lift_windows import at_lifts, lift_windows
+from ik_toolkit.solvers.closed_form.lift_windows import at_lifts
 
 sys.path += [str(Path(__file__).resolve().parent.parent / "tests" / room) for room in ("", "papers")]
-from test_weld import dense_program, outside_of, random_poses, random_rows, search_at
+from test_weld import dense_program, outside_of, random_rows, search_at, variants
 
 
-def windows(arm: ik.Robot, count: int, seed: int) -> None:
+def windows(count: int, seed: int) -> None:
     """Check statements 1 to 3 and print the counts."""
     rng = np.random.default_rng(seed)
-    poses = random_poses(arm, rng, count)
     worst, tried, none, wrong, lifts, searched, found = 0.0, 0, 0, 0, 0, 0, 0
-    for T, listed in zip(poses, lift_windows(arm, poses), strict=True):
+    for arm, T, listed in variants(ik.Robot.load("inspection_7dof"), rng, count):
         none += not listed
         for w in listed:
             q = at_lifts(arm, T, w.low + rng.uniform(0.001, 0.999) * (w.high - w.low))[0][w.branch, 0]
@@ -43,7 +43,7 @@ def windows(arm: ik.Robot, count: int, seed: int) -> None:
             wrong += int((np.abs(arm.chain.forward(Q[beyond])[0] - T).max(axis=(1, 2)) < 1e-9).sum())
         lift = outside_of(listed, rng, arm.lower[1], arm.upper[1])
         if lift is not None:
-            searched, found = searched + 1, found + search_at(T, lift)
+            searched, found = searched + 1, found + search_at(arm, T, lift)
     print(f"{count} poses, {none} with no window; {tried} windows, pose error at most {worst:.1e} (m, matrix entries)")
     print(f"counterexamples among these and {lifts} lifts outside or inside: {wrong}")
     print(f"searches with a lift locked outside all windows: {searched}, solved: {found}")
@@ -69,5 +69,5 @@ if __name__ == "__main__":
     parser.add_argument("-n", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    windows(ik.Robot.load("inspection_7dof"), asked.n, asked.seed)
+    windows(asked.n, asked.seed)
     travel(asked.n, asked.seed)
