@@ -27,7 +27,7 @@ def windows(count: int, seed: int) -> None:
     """Check statements 1 to 3 and print the counts."""
     rng = np.random.default_rng(seed)
     worst, tried, none, wrong, lifts, searched, found = 0.0, 0, 0, 0, 0, 0, 0
-    for arm, T, listed in variants(ik.Robot.load("inspection_7dof"), rng, count):
+    for arm, T, listed in variants(ik.Robot.load("inspection_7dof"), rng, count, robots=10):
         none += not listed
         for w in listed:
             q = at_lifts(arm, T, w.low + rng.uniform(0.001, 0.999) * (w.high - w.low))[0][w.branch, 0]
