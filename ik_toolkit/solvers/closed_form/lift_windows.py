@@ -95,12 +95,14 @@ def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
 
 
 def _bind(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the arm's parameters, and its limits, home and weights (4, n)."""
-    p = Inspection().pack(robot)
-    if p[LIFT] < 0.0 or p[NEARLY] > 0.0:
-        why = "has no lift" if p[LIFT] < 0.0 else "has the structure only approximately"
-        raise InvalidOption(f"'{robot.name}' {why}, so there are no exact intervals of its lift")
-    return p, np.vstack([robot.lower, robot.upper, robot.home, np.ones(robot.n)])
+    """Return the arm's parameters, and its limits, home and weights (4, n); they are kept with the robot."""
+    if "lift windows" not in robot.memo:
+        p = Inspection().pack(robot)
+        if p[LIFT] < 0.0 or p[NEARLY] > 0.0:
+            why = "has no lift" if p[LIFT] < 0.0 else "has the structure only approximately"
+            raise InvalidOption(f"'{robot.name}' {why}, so there are no exact intervals of its lift")
+        robot.memo["lift windows"] = p, np.vstack([robot.lower, robot.upper, robot.home, np.ones(robot.n)])
+    return robot.memo["lift windows"]
 
 
 def _rows(p: np.ndarray, T: np.ndarray, box: np.ndarray, lifts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
