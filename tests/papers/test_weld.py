@@ -227,8 +227,21 @@ def test_a_seam_is_followed_in_one_certified_motion(arm, seam):
 def test_a_seam_that_is_not_reached_says_which_pose(arm):
     with pytest.raises(InvalidOption, match="pose 0 is not reached"):
         inspect_weld(arm, Canister().seam(np.radians([180.0, 170.0]), 0.3))
-    with pytest.raises(InvalidOption, match=r"heights between 0 and 0\.7 m"):
+    with pytest.raises(InvalidOption, match=r"between 0 and 0\.7 m"):
         Canister().seam(0.0, 0.8)
+    with pytest.raises(InvalidOption, match="each a number or"):
+        Canister().seam([0.0, 0.1, 0.2], [0.1, 0.2])
+    with pytest.raises(InvalidOption, match="two poses"):
+        inspect_weld(arm, [])
+    with pytest.raises(InvalidOption, match="margin"):
+        inspect_weld(arm, Canister().seam(0.0, [0.2, 0.3], turn=0.3), margin=-0.01)
+    with pytest.raises(InvalidOption, match="no branch reaches all poses"):
+        inspect_weld(arm, Canister().seam(0.0, [0.2, 0.3], turn=0.3), margin=1.0)
+
+
+def test_contact_with_the_canister_is_a_status(arm):
+    plan = inspect_weld(arm, Canister().seam(0.0, [0.2, 0.3], turn=0.3), Canister(radius=0.3))
+    assert plan.path.status == PathStatus.COLLISION and not plan.path.success
 
 
 def bodies(arm):

@@ -22,7 +22,7 @@ from ...solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windo
 from ...solvers.solve import Solver
 from ...study.reachability import reachability
 from ...style import COLOURS
-from ...validate import positive
+from ...validate import number, positive
 from ..report import Report
 
 MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
@@ -55,13 +55,14 @@ class Canister:
         Raises:
             InvalidOption: A number is out of range, or a height is not on the canister.
         """
-        a, h = np.broadcast_arrays(
-            *(np.atleast_1d(floats(x, "angles and heights", InvalidOption)) for x in (angles, heights))
+        a, h = (
+            np.atleast_1d(floats(x, "angles and heights must be numbers", InvalidOption)) for x in (angles, heights)
         )
-        if a.ndim != 1 or not np.isfinite(a).all() or not ((h >= 0.0) & (h <= self.height)).all():
-            raise InvalidOption(
-                f"angles must be finite, and heights between 0 and {self.height:g} m, each a number or (N,)"
-            )
+        if {a.shape, h.shape} - {(1,), (max(a.size, h.size),)} or not np.isfinite(a).all():
+            raise InvalidOption("angles and heights must be finite, each a number or (N,)")
+        if not ((h >= 0.0) & (h <= self.height)).all():
+            raise InvalidOption(f"heights must be between 0 and {self.height:g} m, on the canister")
+        (a, h), turn = np.broadcast_arrays(a, h), number(turn, "turn [rad]")
         a = a + math.atan2(-self.foot[1], -self.foot[0])
         n, up = np.column_stack([np.cos(a), np.sin(a), 0.0 * a]), np.array([0.0, 0.0, 1.0])
         T = np.tile(np.eye(4), (len(a), 1, 1))
@@ -114,11 +115,13 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
         margin: Distance [m] that lifts keep from the ends of their windows.
 
     Raises:
-        InvalidOption: No branch has a window at every pose; the message names the first pose that none reaches.
+        InvalidOption: No branch has a window at every pose, and the message says which is not reached; or the margin is negative.
     """
     poses = np.array([check_target(T, robot.base)[0] for T in poses])
     if len(poses) < 2:
         raise InvalidOption(f"a seam needs at least two poses, not {len(poses)}")
+    if not number(margin, "margin [m]") >= 0.0:
+        raise InvalidOption(f"margin must not be negative, not {margin:g} m")
     windows, model = lift_windows(robot, poses), None
     if canister is not None:
         middle = np.add(canister.foot, (0.0, 0.0, 0.5 * canister.height))
