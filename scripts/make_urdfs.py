@@ -2,12 +2,23 @@
 
 import math
 import sys
+import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from ik_toolkit.robot.formats.dh import add_arm, add_pedestal, read_dh_table, to_urdf
-from ik_toolkit.robot.formats.urdf_write import add_joint, add_link, add_shape, new_robot, shift, to_text
+from ik_toolkit.robot.formats.urdf_write import (
+    add_joint,
+    add_link,
+    add_shape,
+    new_robot,
+    numbers_text,
+    origin,
+    shift,
+    to_text,
+)
 from ik_toolkit.robot.library import shipped_robots
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
@@ -69,9 +80,49 @@ def _chassis(link) -> None:
             add_shape(link, "cylinder", (0.08, 0.03), shift(x=x * 1.1, y=y * 2.05, z=0.015), "steel")
 
 
+STEEL = 7850.0  # [kg/m^3]
+RADII = (0.039, 0.030, 0.036, 0.029, 0.029, 0.022, 0.019)  # [m] of the cylinders, about as thick as the links are drawn
+
+
+def with_masses(text: str, table) -> str:
+    """Give the links of the inspection robot masses. The paper has none: ours are those of solid cylinders of steel.
+
+    A link has a cylinder of its length d or a of the table (the lift: of its stroke, hanging down) and, if it turns, a drum about
+    its joint's axis, twice as long as its radius.
+    """
+    robot = ET.fromstring(text)
+    robot.insert(0, ET.Comment(" The masses are our assumption: solid cylinders of steel, see scripts/make_urdfs.py. "))
+    for number, (row, r) in enumerate(zip(table.rows, RADII, strict=True), 1):
+        slides = row.type == "prismatic"
+        ends = [np.zeros(3), np.array([0.0, 0.0, -row.upper if slides else row.d]), np.array([row.a, 0.0, row.d])]
+        parts = [] if slides else [(np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.35 * r, 2.7 * r)]
+        for a, b in pairwise(ends[:2] if slides else ends):
+            if (length := float(np.linalg.norm(b - a))) > 0.0:
+                parts.append((0.5 * (a + b), (b - a) / length, r, length))
+        masses = np.array([STEEL * math.pi * radius**2 * length for _, _, radius, length in parts])
+        centre = sum(m * part[0] for m, part in zip(masses, parts, strict=True)) / masses.sum()
+        inertia = np.zeros((3, 3))
+        for m, (place, axis, radius, length) in zip(masses, parts, strict=True):
+            along, across, x = 0.5 * m * radius**2, m * (3.0 * radius**2 + length**2) / 12.0, place - centre
+            inertia += (
+                across * np.eye(3) + (along - across) * np.outer(axis, axis) + m * (x @ x * np.eye(3) - np.outer(x, x))
+            )
+        link = next(link for link in robot.iter("link") if link.get("name") == f"link_{number}")
+        inertial = ET.SubElement(link, "inertial")
+        origin(inertial, shift(*centre.round(6)))
+        ET.SubElement(inertial, "mass", value=numbers_text([masses.sum().round(4)]))
+        terms = {
+            f"i{'xyz'[i]}{'xyz'[j]}": numbers_text([inertia[i, j].round(8)]) for i in range(3) for j in range(i, 3)
+        }
+        ET.SubElement(inertial, "inertia", terms)
+    return to_text(robot)
+
+
 def robots() -> dict[str, str]:
     """File name -> URDF text of every shipped robot."""
-    texts = {f"{name}.urdf": to_urdf(read_dh_table(URDF / "dh" / f"{name}.toml")) for name in TABLES}
+    tables = {name: read_dh_table(URDF / "dh" / f"{name}.toml") for name in TABLES}
+    texts = {f"{name}.urdf": to_urdf(table) for name, table in tables.items()}
+    texts["inspection_7dof.urdf"] = with_masses(texts["inspection_7dof.urdf"], tables["inspection_7dof"])
     return {**texts, "brokk_hydrolek.urdf": brokk()}
 
 

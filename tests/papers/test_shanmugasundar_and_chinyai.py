@@ -31,7 +31,7 @@ def column(report, key, name):
 
 @pytest.fixture(scope="module")
 def inspection_report():
-    return shan.reproduce(poses=100)
+    return shan.reproduce(poses=100, turns=4)
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,15 @@ def test_sample_pose_reach_and_lifts(inspection_report):
     status = column(inspection_report, "sample", "status")
     assert status["lift 220 mm (as published)"] == "UNREACHABLE"
     assert sum(value == "CONVERGED" for value in status.values()) == 9
+
+
+def test_both_welds_are_planned_and_their_torques_are_mostly_weight(inspection_report):
+    assert set(column(inspection_report, "weld", "motion").values()) == {"FOLLOWED"}
+    travel = list(column(inspection_report, "weld", "least lift travel (mm)").values())
+    assert travel[0] == 0.0 and 10.0 < travel[1] < 600.0
+    lift = [row[2] for row in inspection_report.data["torques"]["rows"]]  # all and by motion, for each weld
+    carried = 9.81 * 32.03  # kg, all links above the lift
+    assert lift[0] == pytest.approx(carried, rel=0.01) and carried < lift[2] < 1.3 * carried and lift[1] < 0.1 * carried
 
 
 def test_closed_form_of_the_planar_arm_is_exact():

@@ -46,10 +46,11 @@ from .formulas import (
     printed_fk,
 )
 from .sample import sample
+from .weld import weld
 
 
-def reproduce(poses: int = 2000, seed: int = 0) -> Report:
-    """Compute the report, with a number of random poses for the formulas of Fig 4."""
+def reproduce(poses: int = 2000, seed: int = 0, turns: int = 24) -> Report:
+    """Compute the report, with a number of random poses for the formulas of Fig 4, and of turns of the tool for the welds."""
     with Report("shanmugasundar", "Shanmugasundar and Sivaramakrishnan (2012), reproduced") as report:
         robot = Robot.load("inspection_7dof")
         printed = pose_matrix(PRINTED_POSE)
@@ -62,6 +63,7 @@ def reproduce(poses: int = 2000, seed: int = 0) -> Report:
         sample(report, robot, printed, table_pose)
         _speed(report, robot)
         _misprints(report, printed)
+        weld(report, robot, turns)
     return report
 
 
