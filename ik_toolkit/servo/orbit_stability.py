@@ -4,7 +4,7 @@ At rest a method has the same matrix for every arm (stability.py). In motion the
 `step_matrices` is the exact derivative of one step of a method, undamped, at any state: the derivatives of J come from cross
 products of its columns, and those of J^+ from Golub and Pereyra (1973), eq. 4.12. The product of the matrices over a closed path is
 the derivative of the map from one lap to the next; its spectral radius is the factor by which an error grows per lap (Floquet).
-`growth` takes the derivatives on the motion without error, which a stable method follows up to its truncation error.
+`PathMotion` takes the derivatives on the motion without error, which a stable method follows up to its truncation error.
 """
 
 from collections.abc import Callable
@@ -23,6 +23,8 @@ LARGEST = 700.0  # just below the logarithm of the largest factor that a float c
 ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
+SAMPLES, FINE = 200, 0.01  # least number of samples of a motion; largest distance between them [arm reaches, rad]
+SPACING, HALVINGS = 1.03, 10  # largest ratio of two rates tried; halvings of their interval for a border
 CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
 
 
@@ -71,51 +73,113 @@ class Orbit(NamedTuple):
     a: np.ndarray
 
 
-def growth(
-    robot: Robot, reference: Reference, method: str, h: float, gains: dict[str, float], *, null_damping: float = 0.0
-) -> Growth:
-    """Return how an error of a method grows along a reference, without limits.
+class PathMotion:
+    """The motion of a robot that keeps its tip on a reference, without null-space motion, and how errors grow along it.
+
+    Raises InvalidTarget if the path cannot be followed, InvalidOption if robot or reference is of the wrong type.
+    """
+
+    def __init__(self, robot: Robot, reference: Reference) -> None:
+        """Follow a reference from home in steps so short that each sample is found from the one before."""
+        from ..solvers.solve import solve
+
+        if not isinstance(robot, Robot) or not isinstance(reference, Reference):
+            raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
+        self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
+        T = reference.at(np.linspace(0.0, reference.duration, SAMPLES))[0]
+        moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
+        count = max(SAMPLES, int(moved.max(axis=(1, 2)).sum() / FINE))
+        self.times = np.linspace(0.0, reference.duration, count)
+        self.q = np.tile(solve(robot, reference.target(0.0), q0=robot.home).q, (count, 1))
+        for k in range(count):
+            self.q[k] = self._follow(self.q[max(k - 1, 0)][None], self.times[k : k + 1])[0]
+
+    def _follow(self, Q: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return joint values on the reference at times (N,) [s], found from Q (N, n)."""
+        T = self.reference.at(times)[0]
+        for _ in range(ITERATIONS):
+            now, J = self.robot.chain.forward(Q, jacobian=True)
+            e = errors(T, now)[:, : self.m]
+            far = np.abs(e).max(axis=1)
+            if far.max() < EXACT:
+                return Q
+            Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, : self.m], rcond=SINGULAR), e)
+        at = times[int(np.argmax(far))]
+        raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s")
+
+    def sampled(self, h: float) -> tuple[Bent, Orbit]:
+        """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
+        times = self.reference.times(h)
+        if len(times) < 2:
+            raise InvalidOption(f"h = {h:g} s is longer than the path ({self.reference.duration:g} s)")
+        Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), times)
+        T, V, A = self.reference.at(times)
+        bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
+        rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, : self.m])[:-1]
+        ahead = errors(T[1:], poses[:-1])[:, : self.m]
+        return bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m])
+
+    def growth(
+        self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
+    ) -> Growth:
+        """Return how an error of a method grows along the reference, without limits.
+
+        Args:
+            method: Name of the method.
+            h: Sample time [s].
+            gains: Gains of the method by name.
+            null_damping: Damping of null-space motion [1/s].
+            pace: How many times as fast as the reference says the path is followed.
+
+        Returns:
+            The growth: for a closed path the spectral radius of the map from lap to lap, for an open path the largest possible
+                ratio of the error at its end to the error at its start.
+
+        Raises:
+            InvalidOption: h is longer than the path.
+        """
+        bent, orbit = self.sampled(pace * h)
+        orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
+        steps = step_matrices(bent, orbit, method, h, gains, null_damping)
+        blocks = np.eye(steps.shape[-1] // self.robot.n)
+        total, scale = product(steps)
+        # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
+        lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
+        T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))  # The last sample may be before the path's end.
+        off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
+        closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
+        value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
+        logarithm = float(np.log(max(value, 1e-300)) + scale)
+        return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+
+
+def stable_bands(
+    factor: Callable[[float], float], low: float, high: float
+) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...]]:
+    """Return the bands of sample rates in which factor(rate), the growth along a path, is below 1.
 
     Args:
-        robot: The robot.
-        reference: The path.
-        method: Name of the method.
-        h: Sample time [s].
-        gains: Gains of the method by name.
-        null_damping: Damping of null-space motion [1/s].
+        factor: The growth at a rate [Hz].
+        low: Lowest rate [Hz].
+        high: Highest rate [Hz].
 
     Returns:
-        The growth: for a closed path the spectral radius of the map from lap to lap, for an open path the largest possible
-            ratio of the error at its end to the error at its start.
-
-    Raises:
-        InvalidTarget: The path cannot be followed.
-        InvalidOption: robot or reference is of the wrong type, or h is longer than the path.
+        The rates tried (K,), at most SPACING apart, the factors there (K,), and the bands (first, last rate), whose borders are
+            found by halving the interval between two rates tried. A band that lies between two of them is missed.
     """
-    if not isinstance(robot, Robot) or not isinstance(reference, Reference):
-        raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
-    times = reference.times(h)
-    if len(times) < 2:
-        raise InvalidOption(f"h = {h:g} s is longer than the path ({reference.duration:g} s)")
-    bent, orbit, _ = exact_motion(robot, reference, times)
-    return growth_on(bent, orbit, reference, method, h, gains, null_damping)
-
-
-def growth_on(
-    bent: Bent, orbit: Orbit, reference: Reference, method: str, h: float, gains: dict[str, float], null: float = 0.0
-) -> Growth:
-    """Return the growth on a motion of `exact_motion`; null is the damping of null-space motion [1/s]."""
-    steps = step_matrices(bent, orbit, method, h, gains, null)
-    blocks = np.eye(steps.shape[-1] // bent.J.shape[2])
-    total, scale = product(steps)
-    # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
-    lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
-    T, V, _ = reference.at(np.array([0.0, reference.duration]))  # The last sample may be before the path's end.
-    off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())
-    value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
-    logarithm = float(np.log(max(value, 1e-300)) + scale)
-    return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+    rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(SPACING)))
+    rates[-1] = high
+    factors = np.array([factor(rate) for rate in rates])
+    good = factors < 1.0
+    edges = [] if not good[0] else [low]
+    for i in np.flatnonzero(good[1:] != good[:-1]):
+        ends = {bool(good[i]): rates[i], bool(good[i + 1]): rates[i + 1]}
+        for _ in range(HALVINGS):
+            middle = 0.5 * (ends[True] + ends[False])
+            ends[factor(middle) < 1.0] = middle
+        edges.append(float(ends[True]))
+    edges += [high] if good[-1] else []
+    return rates, factors, tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
 def product(matrices: np.ndarray) -> tuple[np.ndarray, float]:
@@ -131,49 +195,6 @@ def product(matrices: np.ndarray) -> tuple[np.ndarray, float]:
             largest = max(largest, 1e-300)
             total, scale = total / largest, scale + np.log(largest)
     return total, scale
-
-
-def exact_motion(
-    robot: Robot, reference: Reference, times: np.ndarray, near: np.ndarray | None = None
-) -> tuple[Bent, Orbit, np.ndarray]:
-    """Return the motion that keeps the tip on the reference, without null-space motion.
-
-    Args:
-        robot: The robot.
-        reference: The path.
-        times: (N,) [s] the samples.
-        near: (N, n) joint values [rad or m] from which to search; default: each sample from the one before.
-
-    Returns:
-        The Jacobians at the samples, the state of the N - 1 steps between them, and joint values (N, n).
-
-    Raises:
-        InvalidTarget: The path cannot be followed.
-    """
-    from ..solvers.solve import solve
-
-    T, V, A = reference.at(times)
-    m, chain = 3 if reference.position_only else 6, robot.chain
-
-    def follow(Q: np.ndarray, at: slice) -> np.ndarray:
-        for _ in range(ITERATIONS):
-            now, J = chain.forward(Q, jacobian=True)
-            e = errors(T[at], now)[:, :m]
-            if np.abs(e).max() < EXACT:
-                return Q
-            Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, :m], rcond=SINGULAR), e)
-        raise InvalidTarget(f"reference '{reference.name}' cannot be followed at t = {times[at][0]:g} s")
-
-    if near is None:
-        Q = np.tile(solve(robot, reference.target(0.0), q0=robot.home).q, (len(times), 1))
-        for k in range(len(times)):
-            Q[k] = follow(Q[max(k - 1, 0)][None], slice(k, k + 1))[0]
-    else:
-        Q = follow(near, slice(None))
-    bent, poses = jacobians(robot, Q, m), chain.forward(Q[:-1])[0]
-    rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, :m])[:-1]
-    ahead = errors(T[1:], poses)[:, :m]
-    return bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, :m], A[:-1, :m]), Q
 
 
 def errors(goals: np.ndarray, poses: np.ndarray) -> np.ndarray:
