@@ -8,7 +8,7 @@ the derivative of the map from one lap to the next; its spectral radius is the f
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -91,15 +91,16 @@ class PathMotion:
         count = max(SAMPLES, int(moved.max(axis=(1, 2)).sum() / FINE))
         self.times = np.linspace(0.0, reference.duration, count)
         self.q = np.tile(solve(robot, reference.target(0.0), q0=robot.home).q, (count, 1))
+        self._last: tuple[float, Any] = 0.0, None  # The samples of the last sample time serve all gains of a chart.
+        T = reference.at(self.times)[0]
         for k in range(count):
-            self.q[k] = self._follow(self.q[max(k - 1, 0)][None], self.times[k : k + 1])[0]
+            self.q[k] = self._follow(self.q[max(k - 1, 0)][None], T[k : k + 1], self.times[k : k + 1])[0]
 
-    def _follow(self, Q: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return joint values on the reference at times (N,) [s], found from Q (N, n)."""
-        T = self.reference.at(times)[0]
+    def _follow(self, Q: np.ndarray, T: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return joint values at which the tip is at T (N, 4, 4), found from Q (N, n); times (N,) [s] are for the error."""
         for _ in range(ITERATIONS):
             now, J = self.robot.chain.forward(Q, jacobian=True)
-            e = errors(T, now)[:, : self.m]
+            e = errors(T, now, self.m)
             far = np.abs(e).max(axis=1)
             if far.max() < EXACT:
                 return Q
@@ -109,15 +110,18 @@ class PathMotion:
 
     def sampled(self, h: float) -> tuple[Bent, Orbit]:
         """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
+        if self._last[0] == h:
+            return self._last[1]
         times = self.reference.times(h)
         if len(times) < 2:
             raise InvalidOption(f"h = {h:g} s is longer than the path ({self.reference.duration:g} s)")
-        Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), times)
         T, V, A = self.reference.at(times)
+        Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), T, times)
         bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
         rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, : self.m])[:-1]
-        ahead = errors(T[1:], poses[:-1])[:, : self.m]
-        return bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m])
+        ahead = errors(T[1:], poses[:-1], self.m)
+        self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
+        return self._last[1]
 
     def growth(
         self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
@@ -197,10 +201,13 @@ def product(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     return total, scale
 
 
-def errors(goals: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return goals minus poses, both (N, 4, 4), as (N, 6): a vector [m] and a rotation vector [rad] in base axes."""
+def errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
+    """Return goals minus poses, both (N, 4, 4), as (N, m): a vector [m] and, if m is 6, a rotation vector [rad] in base axes."""
+    off = goals[:, :3, 3] - poses[:, :3, 3]
+    if m == 3:
+        return off
     turn = goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
-    return np.concatenate([goals[:, :3, 3] - poses[:, :3, 3], [log(R) for R in turn]], axis=1)
+    return np.concatenate([off, [log(R) for R in turn]], axis=1)
 
 
 def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
