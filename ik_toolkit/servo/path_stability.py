@@ -168,8 +168,8 @@ def stability_chart(
         path: The reference to follow, as from `ik.circle`. Its shape counts, and how its speed changes, but not its duration.
         method: "cv" or "ca".
         shape: For ca, kp / kd^2; default that of the best gains, 2.259.
-        gain: (G,) values of kappa h or kd h; default 0.025 to 1.1.
-        samples: (S,) whole numbers of samples of the path; default 8 to 200, about evenly spaced in travel.
+        gain: (G,) values of kappa h or kd h; default 0.04 to 1.1.
+        samples: (S,) whole numbers of samples of the path; default 12 to 240, about evenly spaced in travel.
         null_damping: Damping of null-space motion over the sample rate, null_damping h.
 
     Returns:
@@ -185,8 +185,8 @@ def stability_chart(
     motion = PathMotion(robot, path)
     best = BEST_CA[0] / BEST_CA[1] ** 2
     shape = 0.0 if method == "cv" else best if shape is None else positive(shape, "shape")
-    gain = np.linspace(0.025, 1.1, 44) if gain is None else np.array([positive(x, "gain") for x in gain])
-    counts = np.unique(np.round(1.0 / np.linspace(1 / 8, 1 / 200, 30)).astype(int)) if samples is None else samples
+    gain = np.linspace(0.04, 1.1, 28) if gain is None else np.array([positive(x, "gain") for x in gain])
+    counts = np.unique(np.round(1.0 / np.linspace(1 / 12, 1 / 240, 14)).astype(int)) if samples is None else samples
     counts = np.array([whole(x, "samples", FEWEST) for x in counts])
     points = path.at(np.linspace(0.0, path.duration, 1001))[0][:, :3, 3]
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

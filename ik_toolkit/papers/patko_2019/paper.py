@@ -12,10 +12,11 @@ from ..report import ROUNDING, Report
 from .cases import CASES, METHODS, SETS, ZIGZAGS, GainSet, growth, known_run, settled
 from .dynamics import dynamics
 from .figures import draw_charts, draw_errors, draw_orders, draw_plane
+from .motion import in_motion
 
 
 def reproduce() -> Report:
-    """Compute the report, with everything in the paper that can be checked; it takes about ten seconds."""
+    """Compute the report, with everything in the paper that can be checked; it takes about half a minute."""
     with Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level") as made:
         made.text(
             """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at
@@ -31,6 +32,7 @@ def reproduce() -> Report:
         runs = _errors(made)
         _orders(made)
         growths = _growth(made)
+        in_motion(made)
         _claims(made, runs, growths)
     return made
 
