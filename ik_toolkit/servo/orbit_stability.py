@@ -24,7 +24,7 @@ ITERATIONS = 50  # largest number of Newton iterations for one sample; two or th
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
 SAMPLES, FINE = 100, 0.03  # least number of samples of a motion; largest distance between them [arm reaches, rad]
-SPACING, HALVINGS = 1.03, 10  # largest ratio of two rates tried; halvings of their interval for a border
+SPACING, HALVINGS = 1.05, 11  # largest ratio of two rates tried; halvings of their interval for a border
 CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
 
 

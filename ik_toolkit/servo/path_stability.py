@@ -35,7 +35,7 @@ class LeastRate:
         at_rest: [Hz] The least stable rate at rest; 0 if every rate is stable there.
         bands: Intervals (low, high) [Hz] of stable rates, `rate` to `most` the last. Others, narrower than the rates tried are
             apart, may have been missed.
-        rates: (K,) [Hz] the rates that were tried, at most 3 % apart.
+        rates: (K,) [Hz] the rates that were tried, at most 5 % apart.
         growth: (K,) factor by which a small error changes over the path (over a lap if it is closed), at each.
         message: One sentence.
     """
