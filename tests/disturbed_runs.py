@@ -1,7 +1,8 @@
 """Random arms, closed paths, methods and gains, to compare the product of step derivatives with simulated runs.
 
 A case says by which factor a small error should change over a path, and by which the difference of two runs does that start
-1e-7 apart. scripts/theory_patko.py compares 10,000 of them, the suite 300. The laws of the methods are written here again, in numpy.
+1e-7 apart. scripts/theory_patko.py compares 10,000 of them, the suite 300. The laws of the methods are
+written here again, in numpy.
 """
 
 import functools
@@ -12,7 +13,7 @@ from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError
-from ik_toolkit.servo.orbit_stability import PathMotion, errors, jacobians
+from ik_toolkit.servo.orbit_stability import PathMotion, jacobians, tip_errors
 from ik_toolkit.servo.stability import p_limit
 
 ARMS, LAPS, APART = 24, 2, 1e-7
@@ -51,7 +52,9 @@ def arm(seed):
     for k in range((3, 3, 4, 5, 6, 6, 7)[int(rng.integers(7))]):
         axis = rng.normal(size=3)
         kind = "prismatic" if k and rng.random() < 0.15 else "revolute"
-        joints.append((kind, rng.uniform(-0.4, 0.4, 3), rng.uniform(-np.pi, np.pi, 3), axis / np.linalg.norm(axis), -3.0, 3.0))
+        joints.append(
+            (kind, rng.uniform(-0.4, 0.4, 3), rng.uniform(-np.pi, np.pi, 3), axis / np.linalg.norm(axis), -3.0, 3.0)
+        )
     return ik.Robot.load(urdf(joints, (rng.uniform(-0.3, 0.3, 3), np.zeros(3))))
 
 
@@ -98,7 +101,7 @@ def simulate(robot, path, samples, method, gains, q0, m):
         tip = robot.chain.forward(q)[0]
         bent = jacobians(robot, q, m)
         P = np.linalg.pinv(bent.J)
-        e, ahead = (errors(np.broadcast_to(T[j], tip.shape), tip, m) for j in (i, i + 1))
+        e, ahead = (tip_errors(np.broadcast_to(T[j], tip.shape), tip, m) for j in (i, i + 1))
         far = np.maximum(far, np.abs(e).max(axis=1))
 
         def inverse(b, P=P):
@@ -129,7 +132,7 @@ def simulate(robot, path, samples, method, gains, q0, m):
         rate = np.where(np.abs(rate) < 1e6, rate, 1e6)
     T, J = robot.chain.forward(q, jacobian=True)
     moving = np.einsum("rmj,rj->rm", J[:, :m], rate if method in ("ca", "aad") else 0.0 * rate)
-    return np.concatenate([errors(np.broadcast_to(np.eye(4), T.shape), T, m), moving], axis=1), far
+    return np.concatenate([tip_errors(np.broadcast_to(np.eye(4), T.shape), T, m), moving], axis=1), far
 
 
 def cases(seed):
@@ -155,7 +158,7 @@ def cases(seed):
         with np.errstate(all="ignore"):
             end, far = simulate(robot, path, samples, method, gains, q0, m)
         at = robot.chain.forward(q0)[0]
-        start = errors(at[::2], at[1::2], m)
+        start = tip_errors(at[::2], at[1::2], m)
         apart = np.abs(end[::2] - end[1::2]).max(axis=1) / np.abs(start).max(axis=1)
         for k, one in enumerate(gains):
             foretold = motion.growth(method, 1.0, one, NULL, pace=1.0 / samples).factor

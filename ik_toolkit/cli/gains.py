@@ -59,7 +59,11 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     along = None if check.along is None else check.along._asdict()
     if along_path:
         least = least_rate(**along_path, method=asked.method, **used)
-    rates = None if least is None else {"least": least.rate if least.bands else None, "most": least.most, "bands": least.bands}
+    rates = (
+        None
+        if least is None
+        else {"least": least.rate if least.bands else None, "most": least.most, "bands": least.bands}
+    )
     write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)
     if not out.as_json:
         show(facts({
@@ -96,7 +100,9 @@ def least_words(found: Any) -> str:
     """Return the least rate of these gains along the path, and other bands of stable rates, in a few words."""
     held = found.rate < float("inf")
     others = found.bands[:-1] if held else found.bands
-    words = f"{found.rate:.4g} Hz with these gains, to {found.most:.4g} Hz" if held else f"none up to {found.most:.4g} Hz"
+    words = (
+        f"{found.rate:.4g} Hz with these gains, to {found.most:.4g} Hz" if held else f"none up to {found.most:.4g} Hz"
+    )
     return words + "".join(f"; also {low:.4g} to {high:.4g} Hz" for low, high in others)
 
 

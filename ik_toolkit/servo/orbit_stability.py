@@ -24,7 +24,6 @@ ITERATIONS = 50  # largest number of Newton iterations for one sample; two or th
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
 SAMPLES, FINE = 100, 0.03  # least number of samples of a motion; largest distance between them [arm reaches, rad]
-SPACING, HALVINGS = 1.05, 11  # largest ratio of two rates tried; halvings of their interval for a border
 CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
 
 
@@ -84,7 +83,9 @@ class PathMotion:
         from ..solvers.solve import solve
 
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
-            raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
+            raise InvalidOption(
+                "gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)"
+            )
         self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
         T = reference.at(np.linspace(0.0, reference.duration, SAMPLES))[0]
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
@@ -100,7 +101,7 @@ class PathMotion:
         """Return joint values at which the tip is at T (N, 4, 4), found from Q (N, n); times (N,) [s] are for the error."""
         for _ in range(ITERATIONS):
             now, J = self.robot.chain.forward(Q, jacobian=True)
-            e = errors(T, now, self.m)
+            e = tip_errors(T, now, self.m)
             far = np.abs(e).max(axis=1)
             if far.max() < EXACT:
                 return Q
@@ -119,7 +120,7 @@ class PathMotion:
         Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), T, times)
         bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
         rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, : self.m])[:-1]
-        ahead = errors(T[1:], poses[:-1], self.m)
+        ahead = tip_errors(T[1:], poses[:-1], self.m)
         self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
         return self._last[1]
 
@@ -146,10 +147,12 @@ class PathMotion:
         orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
         steps = step_matrices(bent, orbit, method, h, gains, null_damping)
         blocks = np.eye(steps.shape[-1] // self.robot.n)
-        total, scale = product(steps)
+        total, scale = chained(steps)
         # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
-        T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))  # The last sample may be before the path's end.
+        T, V, _ = self.reference.at(
+            np.array([0.0, self.reference.duration])
+        )  # The last sample may be before the path's end.
         off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
         closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
         value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
@@ -158,7 +161,7 @@ class PathMotion:
 
 
 def stable_bands(
-    factor: Callable[[float], float], low: float, high: float
+    factor: Callable[[float], float], low: float, high: float, *, spacing: float = 1.05, halvings: int = 11
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...]]:
     """Return the bands of sample rates in which factor(rate), the growth along a path, is below 1.
 
@@ -166,19 +169,21 @@ def stable_bands(
         factor: The growth at a rate [Hz].
         low: Lowest rate [Hz].
         high: Highest rate [Hz].
+        spacing: Largest ratio of two neighbouring rates that are tried.
+        halvings: How often the interval between two of them is halved for a border.
 
     Returns:
-        The rates tried (K,), at most SPACING apart, the factors there (K,), and the bands (first, last rate), whose borders are
+        The rates tried (K,), the factors there (K,), and the bands (first, last rate), whose borders are
             found by halving the interval between two rates tried. A band that lies between two of them is missed.
     """
-    rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(SPACING)))
+    rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(spacing)))
     rates[-1] = high
     factors = np.array([factor(rate) for rate in rates])
     good = factors < 1.0
     edges = [] if not good[0] else [low]
     for i in np.flatnonzero(good[1:] != good[:-1]):
         ends = {bool(good[i]): rates[i], bool(good[i + 1]): rates[i + 1]}
-        for _ in range(HALVINGS):
+        for _ in range(halvings):
             middle = 0.5 * (ends[True] + ends[False])
             ends[factor(middle) < 1.0] = middle
         edges.append(float(ends[True]))
@@ -186,7 +191,7 @@ def stable_bands(
     return rates, factors, tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
-def product(matrices: np.ndarray) -> tuple[np.ndarray, float]:
+def chained(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the product of matrices (N, k, k), the first applied first, over its scale, and the logarithm of the scale.
 
     The product along an unstable path exceeds what a float can hold.
@@ -201,7 +206,7 @@ def product(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     return total, scale
 
 
-def errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
+def tip_errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
     """Return goals minus poses, both (N, 4, 4), as (N, m): a vector [m] and, if m is 6, a rotation vector [rad] in base axes."""
     off = goals[:, :3, 3] - poses[:, :3, 3]
     if m == 3:
@@ -221,10 +226,15 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
     # Each joint is a coordinate of its own here; followers are added to their leaders' columns at the end.
     single = np.column_stack([rows[:, :8], np.arange(L), rows[:, 9]])
     ends = np.concatenate([ends[:POINTS], np.zeros(7 * L), ends[POINTS + 7 * n :]])
-    J = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner]).forward(Q[:, owner], jacobian=True)[1]
+    J = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner]).forward(Q[:, owner], jacobian=True)[
+        1
+    ]
     u, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
     later = np.arange(L)[:, None, None] >= np.arange(L)[:, None]
-    by_u, by_w = np.cross(w[:, None], u[:, :, None]), np.cross(w[:, None], w[:, :, None])  # [t, r] is w_r x u_t, w_r x w_t
+    by_u, by_w = (
+        np.cross(w[:, None], u[:, :, None]),
+        np.cross(w[:, None], w[:, :, None]),
+    )  # [t, r] is w_r x u_t, w_r x w_t
     by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
     sums = np.eye(n)[owner]
 
@@ -284,7 +294,9 @@ def step_matrices(
     def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y by q
         return np.einsum("kmji,kj->kmi", H, y)
 
-    def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:  # the derivative of J^+ b by q, where b has the derivative by_q
+    def inverse(
+        b: np.ndarray, by_q: np.ndarray
+    ) -> np.ndarray:  # the derivative of J^+ b by q, where b has the derivative by_q
         y = times(P, b)
         dual, left = times(P.swapaxes(1, 2), y), b - times(J, y)
         outer = free @ np.einsum("kmji,km->kji", H, dual) + P @ P.swapaxes(1, 2) @ np.einsum("kmji,km->kji", H, left)
@@ -313,7 +325,7 @@ def step_matrices(
     move = inverse(b, coming - kept * behind)
     if method == "av":
         return eye + move
-    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), with s = J^+ b; x and y are qd or w = s / h + free qd.
+    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), where s = J^+ b, and x, y are qd or s / h + free qd.
     g, reading = (0.5, gains.get("reading", 2)) if method == "aa" else (gains["gamma"], 3)
     rates = (qd, np.zeros_like(eye), eye)  # with its derivatives by q and by qd
     expected = (times(P, b) / h + times(free, qd), move / h - drift, free)

@@ -4,25 +4,23 @@ Both come from the product of the exact derivatives of all steps along the motio
 for small errors, without limits and without damping near singular poses. Only the gains times the sample time and the number of
 samples of a path count. A gain that is fixed while the rate changes is therefore a ray from the origin of a chart of the gain times
 h over the travel in a sample, and the least rate is where this ray enters the stable region for good.
+
+No path of fewer than 4 samples is judged.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match, whole
+from ..errors import InvalidOption, floats, near_match
 from ..motion.reference import Reference
 from ..robot.robot import Robot
 from ..text import equations
 from ..validate import number, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
 from .stability import BEST_CA, GAINS, METHODS, WITHOUT, best_gains, longest_step
-
-FEWEST = 4  # least number of samples of a path at which it is judged
-FACTOR, MOST = 10.0, 2000  # by default, rates are tried up to FACTOR times the least one at rest, at most MOST samples of a path
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,13 @@ class LeastRate:
 
 
 def least_rate(
-    robot: Robot, path: Reference, method: str = "cv", *, most: float | None = None, null_damping: float = 0.0, **gains: float
+    robot: Robot,
+    path: Reference,
+    method: str = "cv",
+    *,
+    most: float | None = None,
+    null_damping: float = 0.0,
+    **gains: float,
 ) -> LeastRate:
     """Return the least sample rate above which a method is stable along a path, with fixed gains or the best ones for each rate.
 
@@ -75,10 +79,12 @@ def least_rate(
     own = [name for name in gains if name not in WITHOUT]
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:
-        raise InvalidOption(f"{method} with {equations(gains)} is stable at no rate, even at rest: gains must be positive")
+        raise InvalidOption(
+            f"{method} with {equations(gains)} is stable at no rate, even at rest: gains must be positive"
+        )
     at_rest = 1.0 / longest
-    low = max(0.5 * at_rest, FEWEST / path.duration)
-    top = max(min(FACTOR * at_rest, MOST / path.duration) if own else 100.0 * low, 2.0 * low)
+    low = max(0.5 * at_rest, 4.0 / path.duration)
+    top = max(min(10.0 * at_rest, 2000 / path.duration) if own else 100.0 * low, 2.0 * low)
     top = top if most is None else positive(most, "most [Hz]")
     if top <= low:
         raise InvalidOption(f"most must be above {low:.4g} Hz, not {top:g}")
@@ -185,9 +191,12 @@ def stability_chart(
     motion = PathMotion(robot, path)
     best = BEST_CA[0] / BEST_CA[1] ** 2
     shape = 0.0 if method == "cv" else best if shape is None else positive(shape, "shape")
-    gain = np.linspace(0.04, 1.1, 28) if gain is None else np.array([positive(x, "gain") for x in gain])
-    counts = np.unique(np.round(1.0 / np.linspace(1 / 12, 1 / 240, 14)).astype(int)) if samples is None else samples
-    counts = np.array([whole(x, "samples", FEWEST) for x in counts])
+    gain = np.linspace(0.04, 1.1, 28) if gain is None else _positive(gain, "gain")
+    counts = 1.0 / np.linspace(1 / 12, 1 / 240, 14) if samples is None else _positive(samples, "samples")
+    counts = np.unique(np.round(counts).astype(int)) if samples is None else counts
+    if (counts != np.round(counts)).any() or counts.min() < 4:
+        raise InvalidOption("samples must be whole numbers from 4 up")
+    damping = number(null_damping, "null_damping")
     points = path.at(np.linspace(0.0, path.duration, 1001))[0][:, :3, 3]
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     per_step = np.empty((len(counts), len(gain)))
@@ -195,6 +204,15 @@ def stability_chart(
         for j, x in enumerate(gain):
             used = {"kappa": x} if method == "cv" else {"kp": shape * x * x, "kd": x}
             # With a sample time of 1 s, gains are gains times the sample time; the pace makes the number of samples right.
-            found = motion.growth(method, 1.0, used, null_damping, pace=path.duration / float(count))
+            found = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count))
             per_step[i, j] = found.per_step
     return StabilityChart(method, robot.name, path.name, shape, gain, counts, length / counts, per_step, path.duration)
+
+
+def _positive(values: Any, name: str) -> np.ndarray:
+    """Return positive numbers (K,) as an array. Raises InvalidOption."""
+    words = f"{name} must be one or more positive numbers"
+    found = floats(values, words, InvalidOption)
+    if found.ndim != 1 or not len(found) or not (np.isfinite(found) & (found > 0.0)).all():
+        raise InvalidOption(words)
+    return found

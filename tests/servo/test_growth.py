@@ -1,10 +1,12 @@
 """Errors along a motion: exact step derivatives, against runs of the tracker; least rates and charts."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 import robots
+from disturbed_runs import cases
 from references import MIMIC
 
 import ik_toolkit as ik
@@ -78,7 +80,7 @@ def test_a_disturbance_goes_as_the_exact_derivative_of_the_steps_says(name, pose
     base = run(q0, rate0)
     T, V, A = path.at(path.times(h))
     tip = robot.chain.forward(base.q)[0]
-    error, ahead = ob.errors(T, tip, m)[:-1], ob.errors(T[1:], tip[:-1], m)
+    error, ahead = ob.tip_errors(T, tip, m)[:-1], ob.tip_errors(T[1:], tip[:-1], m)
     state = ob.Orbit(base.rate[:-1], error, ahead, V[:-1, :m], A[:-1, :m])
     steps = ob.step_matrices(ob.jacobians(robot, base.q, m), state, method, h, gains, null)
     dq, dr = rng.normal(size=(2, n))
@@ -109,7 +111,7 @@ def test_runs_stay_just_above_the_least_rate_and_diverge_just_below(method, gain
         assert ik.check_gains(method, h, robot=robot, path=CIRCLE, **gains).stable == stays
         run, other = (
             ik.track(robot, long, method, dt=h, q0=q, limits=False, damping=0.0, **gains)
-            for q in (q0, q0 + [1e-8, -5e-9])
+            for q in (q0, q0 + np.array([1e-8, -5e-9]))
         )
         last = min(len(run.q), len(other.q)) - 1
         assert (np.abs(run.q[last] - other.q[last]).max() < 1e-9) == stays
@@ -142,7 +144,9 @@ def test_a_fixed_gain_leaves_the_chart_at_its_least_rate():
     robot = robots.load("planar_2r")
     least = ik.least_rate(robot, CIRCLE, "cv", kappa=5.0).rate
     samples = [round(f * least * CIRCLE.duration) for f in (1.05, 0.95)]
-    found = ik.stability_chart(robot, CIRCLE, "cv", gain=[5.0 / (s / CIRCLE.duration) for s in samples], samples=samples)
+    found = ik.stability_chart(
+        robot, CIRCLE, "cv", gain=[5.0 / (s / CIRCLE.duration) for s in samples], samples=samples
+    )
     assert found.stable[0, 0] and not found.stable[1, 1]
     assert found.travel == pytest.approx(0.7 * np.pi / np.array(samples), rel=1e-4)
     slow = ik.stability_chart(robot, CIRCLE, "ca", gain=[0.2, 0.9, 0.99, 1.01], samples=[3000])
@@ -170,10 +174,32 @@ def test_mistakes_about_rates_are_typed(wrong, words):
 
 def test_mistakes_about_charts_are_typed():
     robot = robots.load("planar_2r")
-    for wrong in ({"method": "av"}, {"gain": [0.0]}, {"samples": [2]}, {"samples": [7.5]}, {"method": "ca", "shape": -1.0}):
+    for wrong in (
+        {"method": "av"},
+        {"gain": [0.0]},
+        {"samples": [2]},
+        {"samples": [7.5]},
+        {"method": "ca", "shape": -1.0},
+    ):
         with pytest.raises(InvalidOption):
             ik.stability_chart(robot, CIRCLE, **wrong)
     with pytest.raises(InvalidOption, match="kd is missing"):
         ik.least_rate(robot, CIRCLE, "ca", kp=3.0)
     with pytest.raises(InvalidOption, match="a Reference"):
         ik.least_rate(robot, "circle")
+
+
+def test_the_product_foretells_which_runs_stay():
+    """The first 300 cases of scripts/theory_patko.py.
+
+    A redundant arm at acceleration level has null-space motion, by which its runs may leave the configurations that were judged.
+    """
+    made = []
+    for seed in itertools.count():
+        made += cases(seed)
+        if len(made) >= 300:
+            break
+    wrong = [one for one in made if one.verdict == "contradict"]
+    assert all(one.method in ("ca", "aad") and one.joints > one.errors for one in wrong)
+    assert len(wrong) <= 0.03 * len(made) and sum(one.verdict == "agree" for one in made) > 0.85 * len(made)
+    assert min(sum((one.foretold > 1.0) == grows for one in made) for grows in (True, False)) > 50

@@ -9,11 +9,14 @@ import numpy as np
 
 from ...servo import stability as st
 from ...servo.methods import Run, System, simulate
-from ...servo.orbit_stability import Bent, Orbit, product, step_matrices
+from ...servo.orbit_stability import Bent, Orbit, chained, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-ZIGZAGS = ("aa1", "aa2")  # method aa with interpretations 1, 2 of dJ/dt, which leaves the motion without error by its zigzag
+ZIGZAGS = (
+    "aa1",
+    "aa2",
+)  # method aa with interpretations 1, 2 of dJ/dt, which leaves the motion without error by its zigzag
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -117,7 +120,12 @@ def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 CASES = {
     "1-DoF": Case(
-        one_dof(), sine, 1870, lambda p: (p - 0.2) ** 2, np.array([0.1]), lambda q, x, y: 0.375 * np.diag(q**-2.5 * x * y)
+        one_dof(),
+        sine,
+        1870,
+        lambda p: (p - 0.2) ** 2,
+        np.array([0.1]),
+        lambda q, x, y: 0.375 * np.diag(q**-2.5 * x * y),
     ),
     "PP": Case(
         pp_arm(),
@@ -205,5 +213,5 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
     orbit = Orbit(rate[:-1], (target - tip)[:-1], target[1:] - tip[:-1], v[:-1], a[:-1])
     name, options = METHODS[key]
     known = {"kappa": gains.kappa, "kp": gains.kp, "kd": gains.kd, "share": 1.0}
-    total, scale = product(step_matrices(Bent(J, H, third), orbit, name, h, known | options))
+    total, scale = chained(step_matrices(Bent(J, H, third), orbit, name, h, known | options))
     return st.spectral_radius(total) * float(np.exp(scale))
