@@ -4,8 +4,9 @@
 
 The statement: the gains of cv, av, ca or aad are stable along a path if, and only if, the product of the exact derivatives of all
 steps along the motion without error shrinks a small error. Each case is a random arm of 3 to 7 joints (some slide), a closed path
-of its tip and gains at rates of 24 to 60 samples a lap; it compares the product with the difference of two simulated runs. Nearly
-singular paths are left out, and cases in which one of the two factors over two laps is between 1/10 and 10 are counted separately.
+of its tip and gains at rates of 24 to 60 samples a lap; it compares the product with the difference of two simulated runs. Paths
+that are nearly singular, or on which a joint moves by more than 0.15 rad in a sample, are left out. Cases in which one of the two
+factors over two laps is between 1/10 and 10 are counted separately.
 """
 
 import sys

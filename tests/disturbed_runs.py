@@ -20,6 +20,7 @@ ARMS, LAPS, APART = 24, 2, 1e-7
 EACH = {"cv": 12, "ca": 12, "av": 3, "aad": 3}  # sets of gains for each path
 REGULAR = 0.08  # least singular value of the Jacobian along a path, with lengths over the reach
 CLEAR = 10.0  # a factor between 1 / CLEAR and CLEAR over LAPS laps says neither that errors grow nor that they fall
+FAST = 0.15  # [rad or reach] largest move of a joint in a sample of a path; beyond it errors are not small
 LOST = 0.3  # a run that is this far off, over the reach, has left its path
 NULL = 0.4  # damping of null-space motion times the sample time
 
@@ -136,7 +137,7 @@ def simulate(robot, path, samples, method, gains, q0, m):
 
 
 def cases(seed):
-    """The cases of path number `seed`; none if the path is nearly singular or cannot be followed."""
+    """The cases of path number `seed`; none if the path is nearly singular, too fast, or cannot be followed."""
     rng = np.random.default_rng([47, seed])
     robot = arm(int(rng.integers(ARMS)))
     pose = robot.n > 5 and rng.random() < 0.6
@@ -149,6 +150,9 @@ def cases(seed):
     rows = np.r_[np.full(3, 1.0 / robot.chain.reach), np.ones(3)][:m]
     J = jacobians(robot, motion.q, m).J * rows[:, None] * robot.chain.unit
     if np.linalg.svd(J, compute_uv=False)[:, -1].min() < REGULAR:
+        return
+    speed = np.abs(np.gradient(motion.q, motion.times, axis=0) / robot.chain.unit).max()
+    if speed / samples > FAST:
         return
     for method, count in EACH.items():
         gains = [random_gains(method, rng) for _ in range(count)]

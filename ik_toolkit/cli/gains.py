@@ -71,7 +71,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
             "method": f"{check.method}, {equations(used)}",
             "stability": judged(check),
             "best at rest": equations(check.suggestion),
-        } | ({} if least is None else {"least rate": least_words(least)})))  # fmt: skip
+        } | ({} if least is None else {"least rate": least.message})))  # fmt: skip
     notice(check.message)
     if not check.stable:
         raise typer.Exit(1)
@@ -94,16 +94,6 @@ def judged(check: Any) -> str:
     if check.along is not None:
         text += f"; along the path {check.along.words}"
     return f"{check.verdict}: {text}"
-
-
-def least_words(found: Any) -> str:
-    """Return the least rate of these gains along the path, and other bands of stable rates, in a few words."""
-    held = found.rate < float("inf")
-    others = found.bands[:-1] if held else found.bands
-    words = (
-        f"{found.rate:.4g} Hz with these gains, to {found.most:.4g} Hz" if held else f"none up to {found.most:.4g} Hz"
-    )
-    return words + "".join(f"; also {low:.4g} to {high:.4g} Hz" for low, high in others)
 
 
 def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], most: int = 3000) -> Any:

@@ -83,9 +83,7 @@ class PathMotion:
         from ..solvers.solve import solve
 
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
-            raise InvalidOption(
-                "gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)"
-            )
+            raise InvalidOption("gains are judged along a path= (a Reference, as ik.circle) of a robot= (a Robot)")
         self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
         T = reference.at(np.linspace(0.0, reference.duration, SAMPLES))[0]
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
@@ -127,21 +125,10 @@ class PathMotion:
     def growth(
         self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
     ) -> Growth:
-        """Return how an error of a method grows along the reference, without limits.
+        """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
 
-        Args:
-            method: Name of the method.
-            h: Sample time [s].
-            gains: Gains of the method by name.
-            null_damping: Damping of null-space motion [1/s].
-            pace: How many times as fast as the reference says the path is followed.
-
-        Returns:
-            The growth: for a closed path the spectral radius of the map from lap to lap, for an open path the largest possible
-                ratio of the error at its end to the error at its start.
-
-        Raises:
-            InvalidOption: h is longer than the path.
+        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the error at the
+        end to that at the start. h [s]; null_damping [1/s]; pace: how many times as fast the reference is followed.
         """
         bent, orbit = self.sampled(pace * h)
         orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
@@ -150,9 +137,8 @@ class PathMotion:
         total, scale = chained(steps)
         # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
-        T, V, _ = self.reference.at(
-            np.array([0.0, self.reference.duration])
-        )  # The last sample may be before the path's end.
+        # The last sample may be before the path's end.
+        T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
         closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
         value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
@@ -163,18 +149,10 @@ class PathMotion:
 def stable_bands(
     factor: Callable[[float], float], low: float, high: float, *, spacing: float = 1.05, halvings: int = 11
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...]]:
-    """Return the bands of sample rates in which factor(rate), the growth along a path, is below 1.
+    """Return the bands of sample rates [Hz] from low to high in which factor(rate), the growth along a path, is below 1.
 
-    Args:
-        factor: The growth at a rate [Hz].
-        low: Lowest rate [Hz].
-        high: Highest rate [Hz].
-        spacing: Largest ratio of two neighbouring rates that are tried.
-        halvings: How often the interval between two of them is halved for a border.
-
-    Returns:
-        The rates tried (K,), the factors there (K,), and the bands (first, last rate), whose borders are
-            found by halving the interval between two rates tried. A band that lies between two of them is missed.
+    Returned are the rates tried (K,), two neighbours by `spacing` apart at most; the factors there (K,); and the bands (first, last
+    rate), their borders found by halving the interval between two rates tried. A band between two of them is missed.
     """
     rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(spacing)))
     rates[-1] = high
@@ -226,15 +204,12 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
     # Each joint is a coordinate of its own here; followers are added to their leaders' columns at the end.
     single = np.column_stack([rows[:, :8], np.arange(L), rows[:, 9]])
     ends = np.concatenate([ends[:POINTS], np.zeros(7 * L), ends[POINTS + 7 * n :]])
-    J = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner]).forward(Q[:, owner], jacobian=True)[
-        1
-    ]
+    chain = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner])
+    J = chain.forward(Q[:, owner], jacobian=True)[1]
     u, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
     later = np.arange(L)[:, None, None] >= np.arange(L)[:, None]
-    by_u, by_w = (
-        np.cross(w[:, None], u[:, :, None]),
-        np.cross(w[:, None], w[:, :, None]),
-    )  # [t, r] is w_r x u_t, w_r x w_t
+    # [t, r] is w_r x u_t and w_r x w_t.
+    by_u, by_w = np.cross(w[:, None], u[:, :, None]), np.cross(w[:, None], w[:, :, None])
     by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
     sums = np.eye(n)[owner]
 

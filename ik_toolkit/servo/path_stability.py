@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, near_match
+from ..errors import InvalidOption, floats
 from ..motion.reference import Reference
 from ..robot.robot import Robot
 from ..text import equations
 from ..validate import number, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
-from .stability import BEST_CA, GAINS, METHODS, WITHOUT, best_gains, longest_step
+from .stability import BEST_CA, WITHOUT, best_gains, complete, longest_step, mapping_matrix
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,13 @@ def least_rate(
         InvalidOption: A gain is missing or not one of the method's, or a number is out of range.
         InvalidTarget: The path cannot be followed.
     """
-    fixed = _fixed(method, gains)
-    motion = PathMotion(robot, path)
-    damping = number(null_damping, "null_damping [1/s]")
-    own = [name for name in gains if name not in WITHOUT]
+    fixed, own = complete(method, gains), [name for name in gains if name not in WITHOUT]
+    if own:
+        mapping_matrix(method, 1.0, **fixed)  # raises if a gain is missing or no number
+    motion, damping = PathMotion(robot, path), number(null_damping, "null_damping [1/s]")
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:
-        raise InvalidOption(
-            f"{method} with {equations(gains)} is stable at no rate, even at rest: gains must be positive"
-        )
+        raise InvalidOption(f"{method} with {equations(gains)} is stable at no rate: gains must be positive")
     at_rest = 1.0 / longest
     low = max(0.5 * at_rest, 4.0 / path.duration)
     top = max(min(10.0 * at_rest, 2000 / path.duration) if own else 100.0 * low, 2.0 * low)
@@ -96,29 +94,15 @@ def least_rate(
     rates, growth, bands = stable_bands(factor, low, top)
     found = bands[-1][0] if bands and bands[-1][1] == top else math.inf
     words = f"{method} with {equations(gains) if gains else 'its best gains for each rate'} along '{path.name}'"
-    if found < math.inf:
-        tried = int((rates >= found).sum())
-        words += f" is stable at each of {tried} rates tried from {found:.4g} to {top:.4g} Hz"
-        words += f" (at rest from {at_rest:.4g} Hz)" if own and longest < math.inf else ""
-    else:
-        words += f" is unstable at {top:.4g} Hz, the highest rate tried"
-    others = [f"{a:.4g} to {b:.4g} Hz" for a, b in (bands[:-1] if found < math.inf else bands)]
+    held = (rates >= found).sum()
+    words += (
+        f" is stable at each of {held} rates tried from {found:.4g} to {top:.4g} Hz (at rest from {at_rest:.4g} Hz)"
+        if held
+        else f" is unstable at {top:.4g} Hz, the highest rate tried"
+    )
+    others = [f"{a:.4g} to {b:.4g} Hz" for a, b in bands if b < top]
     words += f"; also stable from {', '.join(others)}." if others else "."
     return LeastRate(found, top, at_rest, bands, rates, growth, words)
-
-
-def _fixed(method: str, gains: dict[str, float]) -> dict[str, float]:
-    """Return checked gains, completed by those that have a default. Raises InvalidOption."""
-    one_of(method, METHODS, "tracking method")
-    for name, value in gains.items():
-        if name not in GAINS[method]:
-            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
-        number(value, name)
-    known = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
-    missing = [name for name in GAINS[method] if name not in known]
-    if gains and missing:
-        raise InvalidOption(f"{method} needs {' and '.join(GAINS[method])}: {missing[0]} is missing")
-    return known
 
 
 @dataclass(frozen=True)
@@ -133,7 +117,6 @@ class StabilityChart:
         samples: (S,) number of samples of the path.
         travel: (S,) mean distance by which the target moves in a sample [m].
         per_step: (S, G) mean factor by which a small error changes in a sample; stable below 1.
-        duration: Duration of the path [s], for the speed of which `rate` speaks.
     """
 
     method: str
@@ -144,17 +127,11 @@ class StabilityChart:
     samples: np.ndarray
     travel: np.ndarray
     per_step: np.ndarray
-    duration: float
 
     @property
     def stable(self) -> np.ndarray:
         """Whether each point (S, G) is stable."""
         return self.per_step < 1.0
-
-    @property
-    def rate(self) -> np.ndarray:
-        """Sample rate (S,) [Hz] at which the path, at its own speed, has so many samples."""
-        return self.samples / self.duration
 
 
 def stability_chart(
@@ -188,15 +165,13 @@ def stability_chart(
     Source: the method after Patko and Zelei (2019), Fig. 9, which holds at rest; the extension to motion is ours.
     """
     one_of(method, ("cv", "ca"), "method of a stability chart")
-    motion = PathMotion(robot, path)
-    best = BEST_CA[0] / BEST_CA[1] ** 2
-    shape = 0.0 if method == "cv" else best if shape is None else positive(shape, "shape")
+    motion, damping = PathMotion(robot, path), number(null_damping, "null_damping")
+    shape = BEST_CA[0] / BEST_CA[1] ** 2 if shape is None else positive(shape, "shape")
     gain = np.linspace(0.04, 1.1, 28) if gain is None else _positive(gain, "gain")
     counts = 1.0 / np.linspace(1 / 12, 1 / 240, 14) if samples is None else _positive(samples, "samples")
     counts = np.unique(np.round(counts).astype(int)) if samples is None else counts
     if (counts != np.round(counts)).any() or counts.min() < 4:
         raise InvalidOption("samples must be whole numbers from 4 up")
-    damping = number(null_damping, "null_damping")
     points = path.at(np.linspace(0.0, path.duration, 1001))[0][:, :3, 3]
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     per_step = np.empty((len(counts), len(gain)))
@@ -204,9 +179,9 @@ def stability_chart(
         for j, x in enumerate(gain):
             used = {"kappa": x} if method == "cv" else {"kp": shape * x * x, "kd": x}
             # With a sample time of 1 s, gains are gains times the sample time; the pace makes the number of samples right.
-            found = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count))
-            per_step[i, j] = found.per_step
-    return StabilityChart(method, robot.name, path.name, shape, gain, counts, length / counts, per_step, path.duration)
+            per_step[i, j] = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count)).per_step
+    kept = shape if method == "ca" else 0.0
+    return StabilityChart(method, robot.name, path.name, kept, gain, counts, length / counts, per_step)
 
 
 def _positive(values: Any, name: str) -> np.ndarray:

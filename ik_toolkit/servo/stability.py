@@ -263,6 +263,15 @@ class GainCheck:
         return self.verdict == "stable"
 
 
+def complete(method: str, gains: dict[str, float]) -> dict[str, float]:
+    """Return the gains of a method with those added that have a default. Raises InvalidOption for an unknown name."""
+    one_of(method, METHODS, "tracking method")
+    for name in gains:
+        if name not in GAINS[method]:
+            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    return {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
+
+
 def check_gains(
     method: str,
     h: float,
@@ -297,10 +306,7 @@ def check_gains(
         InvalidOption: A gain is missing or not one of the method's, or a number is out of range.
         InvalidTarget: The path cannot be followed.
     """
-    one_of(method, METHODS, "tracking method")
-    for name in gains:
-        if name not in GAINS[method]:
-            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    complete(method, gains)
     delay, null_damping = _samples(delay), number(null_damping, "null_damping [1/s]")
     if (robot is None) != (path is None):
         raise InvalidOption("gains are judged along a path with both robot= and path=")
@@ -332,8 +338,7 @@ def check_gains(
         motion = PathMotion(robot, path)
 
         def along(h: float, gains: dict[str, float]) -> "Growth":
-            complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
-            return motion.growth(method, h, complete, null_damping)
+            return motion.growth(method, h, complete(method, gains), null_damping)
 
         found = along(h, gains)
         judged = "stable" if found.factor < 1.0 else "unstable"

@@ -214,7 +214,7 @@ def test_growth_is_that_of_disturbed_runs_where_these_show_it(name, key, gains):
 def test_report(tmp_path):
     made = paper.reproduce()
     files = {file.name for file in made.write(tmp_path)}
-    pictures = {"fig9_charts.png", "fig4_one_dof.png", "fig5_6_pp.png", "fig7_8_rr.png", "orders.png"}
+    pictures = {"fig9_charts.png", "fig9_in_motion.png", "fig4_one_dof.png", "fig5_6_pp.png", "fig7_8_rr.png", "orders.png"}
     assert files == {"report.md", "report.json", *pictures}
     assert all((tmp_path / name).stat().st_size > 20_000 for name in pictures)
     text = (tmp_path / "report.md").read_text()
@@ -232,3 +232,11 @@ def test_report(tmp_path):
     assert verdicts["PP bad"] == ("unstable", "unstable", "unstable", "yes")
     assert all(verdicts[name][-1] == "yes" for name in ("1-DoF", "PP good", "RR good"))
     assert len(data["claims"]["rows"]) == 8
+    rates = {(row[0][:2], row[1], row[2]): row[3:] for row in data["least_rates"]["rows"]}
+    assert rates["RR", "RR bad", "cv"][1] == pytest.approx(5.083, abs=2e-3)
+    assert rates["RR", "RR bad", "ca"][1] == pytest.approx(5.185, abs=2e-3)
+    for (_, gains, _), (rest, moving, _, below, below_runs, above, above_runs) in rates.items():
+        assert moving > rest
+        if below and gains != "best for each rate":  # runs just beside the least rate show what the product says
+            assert below > 1.0 > above and above_runs == pytest.approx(above, rel=0.2)
+            assert below_runs == "diverge" or below_runs == pytest.approx(below, rel=0.1)

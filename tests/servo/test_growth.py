@@ -183,7 +183,7 @@ def test_mistakes_about_charts_are_typed():
     ):
         with pytest.raises(InvalidOption):
             ik.stability_chart(robot, CIRCLE, **wrong)
-    with pytest.raises(InvalidOption, match="kd is missing"):
+    with pytest.raises(InvalidOption, match="kd must be a number"):
         ik.least_rate(robot, CIRCLE, "ca", kp=3.0)
     with pytest.raises(InvalidOption, match="a Reference"):
         ik.least_rate(robot, "circle")

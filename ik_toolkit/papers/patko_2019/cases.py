@@ -13,10 +13,7 @@ from ...servo.orbit_stability import Bent, Orbit, chained, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-ZIGZAGS = (
-    "aa1",
-    "aa2",
-)  # method aa with interpretations 1, 2 of dJ/dt, which leaves the motion without error by its zigzag
+ZIGZAGS = ("aa1", "aa2")  # method aa with readings 1, 2 of dJ/dt, which zigzag about the motion without error
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -110,7 +107,12 @@ class Case:
     steps: int
     start: Callable[[np.ndarray], np.ndarray]
     offset: np.ndarray
-    third: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    third: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] = lambda q, x, y: np.zeros((len(q), len(q)))
+
+
+def one_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the derivative (1, 1) of `rate` of `one_dof` by q."""
+    return np.array([0.375 * q**-2.5 * x * y])
 
 
 def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -119,22 +121,8 @@ def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 CASES = {
-    "1-DoF": Case(
-        one_dof(),
-        sine,
-        1870,
-        lambda p: (p - 0.2) ** 2,
-        np.array([0.1]),
-        lambda q, x, y: 0.375 * np.diag(q**-2.5 * x * y),
-    ),
-    "PP": Case(
-        pp_arm(),
-        circle((1.0, 1.0), 0.3, 1.0),
-        1000,
-        lambda p: p - 0.5,
-        np.array([0.1, -0.05]),
-        lambda q, x, y: np.zeros((2, 2)),
-    ),
+    "1-DoF": Case(one_dof(), sine, 1870, lambda p: (p - 0.2) ** 2, np.array([0.1]), one_third),
+    "PP": Case(pp_arm(), circle((1.0, 1.0), 0.3, 1.0), 1000, lambda p: p - 0.5, np.array([0.1, -0.05])),
     "RR": Case(rr_arm(), circle((1.0, 0.6), 0.35, 0.5), 630, rr_inverse, np.array([0.05, -0.05]), rr_third),
 }
 
