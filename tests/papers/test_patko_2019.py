@@ -235,8 +235,8 @@ def test_report(tmp_path):
     rates = {(row[0][:2], row[1], row[2]): row[3:] for row in data["least_rates"]["rows"]}
     assert rates["RR", "RR bad", "cv"][1] == pytest.approx(5.083, abs=2e-3)
     assert rates["RR", "RR bad", "ca"][1] == pytest.approx(5.185, abs=2e-3)
-    for (_, gains, _), (rest, moving, _, below, below_runs, above, above_runs) in rates.items():
+    for (_, _, method), (rest, moving, _, below, below_runs, above, above_runs) in rates.items():
         assert moving > rest
-        if below and gains != "best for each rate":  # runs just beside the least rate show what the product says
-            assert below > 1.0 > above and above_runs == pytest.approx(above, rel=0.2)
-            assert below_runs == "diverge" or below_runs == pytest.approx(below, rel=0.1)
+        if below:  # Runs just beside the least rate grow and decay; complex multipliers of ca make their ratio fluctuate.
+            assert below > 1.0 > above and (below_runs == "diverge" or below_runs > 1.0) and above_runs < 1.0
+            assert method == "ca" or [below_runs, above_runs] == pytest.approx([below, above], rel=0.03)
