@@ -58,7 +58,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
     if along_path:
-        least = least_rate(**along_path, method=asked.method, **used)
+        least = least_rate(along_path["robot"], along_path["path"], asked.method, **used)
     rates = (
         None
         if least is None

@@ -73,7 +73,8 @@ def least_rate(
         InvalidOption: A gain is missing or not one of the method's, or a number is out of range.
         InvalidTarget: The path cannot be followed.
     """
-    fixed, own = complete(method, gains), [name for name in gains if name not in WITHOUT]
+    fixed: dict[str, Any] = complete(method, gains)
+    own = [name for name in gains if name not in WITHOUT]
     if own:
         mapping_matrix(method, 1.0, **fixed)  # raises if a gain is missing or no number
     motion, damping = PathMotion(robot, path), number(null_damping, "null_damping [1/s]")
@@ -166,7 +167,7 @@ def stability_chart(
     """
     one_of(method, ("cv", "ca"), "method of a stability chart")
     motion, damping = PathMotion(robot, path), number(null_damping, "null_damping")
-    shape = BEST_CA[0] / BEST_CA[1] ** 2 if shape is None else positive(shape, "shape")
+    kp_share = positive(BEST_CA[0] / BEST_CA[1] ** 2 if shape is None else shape, "shape")
     gain = np.linspace(0.04, 1.1, 28) if gain is None else _positive(gain, "gain")
     counts = 1.0 / np.linspace(1 / 12, 1 / 240, 14) if samples is None else _positive(samples, "samples")
     counts = np.unique(np.round(counts).astype(int)) if samples is None else counts
@@ -177,10 +178,10 @@ def stability_chart(
     per_step = np.empty((len(counts), len(gain)))
     for i, count in enumerate(counts):
         for j, x in enumerate(gain):
-            used = {"kappa": x} if method == "cv" else {"kp": shape * x * x, "kd": x}
+            used = {"kappa": x} if method == "cv" else {"kp": kp_share * x * x, "kd": x}
             # With a sample time of 1 s, gains are gains times the sample time; the pace makes the number of samples right.
             per_step[i, j] = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count)).per_step
-    kept = shape if method == "ca" else 0.0
+    kept = kp_share if method == "ca" else 0.0
     return StabilityChart(method, robot.name, path.name, kept, gain, counts, length / counts, per_step)
 
 

@@ -214,7 +214,14 @@ def test_growth_is_that_of_disturbed_runs_where_these_show_it(name, key, gains):
 def test_report(tmp_path):
     made = paper.reproduce()
     files = {file.name for file in made.write(tmp_path)}
-    pictures = {"fig9_charts.png", "fig9_in_motion.png", "fig4_one_dof.png", "fig5_6_pp.png", "fig7_8_rr.png", "orders.png"}
+    pictures = {
+        "fig9_charts.png",
+        "fig9_in_motion.png",
+        "fig4_one_dof.png",
+        "fig5_6_pp.png",
+        "fig7_8_rr.png",
+        "orders.png",
+    }
     assert files == {"report.md", "report.json", *pictures}
     assert all((tmp_path / name).stat().st_size > 20_000 for name in pictures)
     text = (tmp_path / "report.md").read_text()
@@ -237,6 +244,8 @@ def test_report(tmp_path):
     assert rates["RR", "RR bad", "ca"][1] == pytest.approx(5.185, abs=2e-3)
     for (_, _, method), (rest, moving, _, below, below_runs, above, above_runs) in rates.items():
         assert moving > rest
-        if below:  # Runs just beside the least rate grow and decay; complex multipliers of ca make their ratio fluctuate.
+        if (
+            below
+        ):  # Runs just beside the least rate grow and decay; complex multipliers of ca make their ratio fluctuate.
             assert below > 1.0 > above and (below_runs == "diverge" or below_runs > 1.0) and above_runs < 1.0
             assert method == "ca" or [below_runs, above_runs] == pytest.approx([below, above], rel=0.03)

