@@ -34,7 +34,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     """Judge a tracking method's gains at a rate, at rest and along a path, and name better ones.
 
     Without gains the best ones at rest are judged. Without a path they are judged at rest alone, which is the same for every robot.
-    With a path, the least rate is also named: at every rate tried from there to the second one these gains are stable along it.
+    With a path, the least rate from which these gains are stable along it is named as well.
 
     Exit code 0 when the gains are stable, 1 when they are not.
 
@@ -59,11 +59,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     along = None if check.along is None else check.along._asdict()
     if along_path:
         least = least_rate(along_path["robot"], along_path["path"], asked.method, **used)
-    rates = (
-        None
-        if least is None
-        else {"least": least.rate if least.bands else None, "most": least.most, "bands": least.bands}
-    )
+    rates = None if least is None else {"stable": least.bands, "most": least.most}
     write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)
     if not out.as_json:
         show(facts({

@@ -213,6 +213,12 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
     by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
     sums = np.eye(n)[owner]
 
+    def before(parts: np.ndarray) -> np.ndarray:  # sums over the joints nearer the base
+        return np.cumsum(parts, axis=1) - parts
+
+    def after(parts: np.ndarray) -> np.ndarray:  # sums over the joint itself and those nearer the tip
+        return parts.sum(axis=1, keepdims=True) - before(parts)
+
     def third(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the derivative of sum_t y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t), see `Bent`.
 
@@ -229,16 +235,6 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
 
     H = np.concatenate([by_u, by_w], axis=3).transpose(0, 3, 1, 2)[:, :m]
     return Bent(J[:, :m] @ sums, sums.T @ H @ sums, third)
-
-
-def before(parts: np.ndarray) -> np.ndarray:
-    """Return for each joint, on axis 1, the sum over the joints nearer the base."""
-    return np.cumsum(parts, axis=1) - parts
-
-
-def after(parts: np.ndarray) -> np.ndarray:
-    """Return for each joint, on axis 1, the sum over itself and the joints nearer the tip."""
-    return parts.sum(axis=1, keepdims=True) - before(parts)
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
@@ -269,9 +265,7 @@ def step_matrices(
     def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y by q
         return np.einsum("kmji,kj->kmi", H, y)
 
-    def inverse(
-        b: np.ndarray, by_q: np.ndarray
-    ) -> np.ndarray:  # the derivative of J^+ b by q, where b has the derivative by_q
+    def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:  # the derivative of J^+ b by q; by_q is that of b
         y = times(P, b)
         dual, left = times(P.swapaxes(1, 2), y), b - times(J, y)
         outer = free @ np.einsum("kmji,km->kji", H, dual) + P @ P.swapaxes(1, 2) @ np.einsum("kmji,km->kji", H, left)

@@ -186,23 +186,12 @@ def stability_map(axis: Any, chart: StabilityChart) -> Any:
 
     Returns what a colour bar takes.
     """
-    shades = axis.contourf(
-        chart.gain,
-        chart.travel,
-        chart.per_step,
-        levels=[0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0],
-        cmap="Blues_r",
-        vmin=-0.2,
-        vmax=1.15,
-    )
-    axis.contour(chart.gain, chart.travel, chart.per_step, levels=[1.0], colors="black", linewidths=1.2)
+    points = chart.gain, chart.travel, chart.per_step
+    shades = axis.contourf(*points, levels=[0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0], cmap="Blues_r", vmin=-0.2, vmax=1.15)
+    axis.contour(*points, levels=[1.0], colors="black", linewidths=1.2)
     name = r"$\kappa$ h" if chart.method == "cv" else rf"$k_D$ h, with $k_P$ = {chart.shape:.4g} $k_D^2$"
-    axis.set(
-        xlim=(0.0, chart.gain[-1]),
-        ylim=(0.0, chart.travel.max()),
-        xlabel=name,
-        ylabel="target's travel in a sample [m]",
-    )
+    axis.set(xlim=(0.0, chart.gain[-1]), ylim=(0.0, chart.travel.max()), xlabel=name)
+    axis.set_ylabel("target's travel in a sample [m]")
     return shades
 
 
