@@ -126,9 +126,22 @@ def test_bands_of_stable_rates_are_found_and_the_last_one_counts():
 
     rates, factors, bands = ob.stable_bands(factor, 1.0, 50.0)
     assert np.abs(np.array(bands) - [[2.0, 3.0], [5.0, 50.0]]).max() < 1e-3
+    assert all(factor(rate) < 1.0 for band in bands for rate in band)  # the stable side of each border
     assert (rates[1:] / rates[:-1]).max() <= 1.05 and rates[-1] == 50.0 and len(rates) == len(factors)
     assert ob.stable_bands(lambda rate: 2.0, 1.0, 9.0)[2] == ()
     assert ob.stable_bands(lambda rate: 0.5, 1.0, 9.0)[2] == ((1.0, 9.0),)
+
+
+def test_a_lower_band_is_told_apart_from_the_least_rate(monkeypatch):
+    """No path with such a band is known, so the growth is made up: below 1 from 4 to 4.6 Hz, and from 6 Hz on."""
+
+    def growth(motion, method, h, gains, null_damping):
+        return ob.Growth(0.5 if 4.0 < 1.0 / h < 4.6 or 1.0 / h > 6.0 else 2.0, 1.0, True)
+
+    monkeypatch.setattr(ob.PathMotion, "growth", growth)
+    found = ik.least_rate(robots.load("planar_2r"), CIRCLE, "cv", kappa=5.0)
+    assert found.rate == pytest.approx(6.0, abs=1e-3) and len(found.bands) == 2
+    assert "; also stable from 4" in found.message and found.message.endswith("to 4.6 Hz.")
 
 
 def test_the_best_gains_for_each_rate_need_a_rate_of_their_own():
