@@ -57,7 +57,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     used = chosen(asked)  # raises for a rate of 0, before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
-    if along_path:
+    if along_path and check.longest_step > 0.0:  # else the gains are stable at no rate
         least = least_rate(along_path["robot"], along_path["path"], asked.method, **used)
     rates = None if least is None else {"stable": least.bands, "most": least.most}
     write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)

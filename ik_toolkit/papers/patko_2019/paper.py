@@ -268,11 +268,12 @@ def _in_motion(made: Report) -> None:
         """**Least sample rates.** With these gains, fixed while the rate changes, every rate that was tried (5 % apart) from "in
         motion" to "tried to" is stable: the product of the exact derivatives of all steps shrinks a small error over a lap. The
         last four columns say, beside the least rate, by which factor an error changes in a lap: by the product, and by two runs
-        that start 1e-8 rad apart (mean of laps 2 to 4). Motion costs the published RR sets a few percent of rate; with the best
-        gains for each rate, some 15 samples a lap are stable, though not accurate. A redundant arm is judged by its tip, without
-        null-space motion; at acceleration level its runs have such motion, and may leave the configurations that were judged.
-        `scripts/theory_patko.py` compares the product with runs on random arms, paths and gains: of 10,020 cases
-        the two contradict each other in 50, all of them redundant arms at acceleration level."""
+        that start 1e-8 rad apart (mean of laps 2 to 4). Motion costs the published RR sets a few percent of rate (with a whole
+        number of samples a lap, the bad set needs 64 for cv, 5.09 Hz, and 66 for ca, 5.25 Hz); with the best gains for each rate,
+        some 15 samples a lap are stable, though not accurate. A redundant arm is judged by its tip, without null-space motion; at
+        acceleration level its runs have such motion, and may leave the configurations that were judged.
+        `scripts/theory_patko.py` compares the product with runs on random arms, paths and gains: of 10,020 cases the two
+        contradict each other in 50, all of them redundant arms at acceleration level."""
     )
     shape = bad.kp / bad.kd**2
     charts = [
