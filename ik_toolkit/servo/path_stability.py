@@ -62,7 +62,8 @@ def least_rate(
         robot: The robot.
         path: The reference to follow, as from `ik.circle`.
         method: Name of the tracking method.
-        most: Highest rate to try [Hz]; default: ten times the least one at rest, but at most 2000 samples for the path.
+        most: Highest rate to try [Hz]; default: ten times the least one at rest, but if that makes more than
+            2000 samples of the path, as many as that, or 1.6 times the least one at rest.
         null_damping: Damping of null-space motion [1/s], as in `Method`.
         gains: Gains of the method, as in `check_gains`, the same at every rate; without any, those of `best_gains` for each rate.
 
@@ -82,7 +83,7 @@ def least_rate(
     if longest == 0.0:
         raise InvalidOption(f"{method} with {equations(gains)} is stable at no rate: gains must be positive")
     at_rest = 1.0 / longest
-    low = max(0.5 * at_rest, 4.0 / path.duration)
+    low = max(0.8 * at_rest, 4.0 / path.duration)
     top = max(min(10.0 * at_rest, 2000 / path.duration) if own else 100.0 * low, 2.0 * low)
     top = top if most is None else positive(most, "most [Hz]")
     if top <= low:
