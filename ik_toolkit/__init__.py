@@ -64,6 +64,8 @@ _NAMES = {
     "suggest_poses": "study.suggest_poses",
     "best_gains": "servo.stability",
     "check_gains": "servo.stability",
+    "least_rate": "servo.path_stability",
+    "stability_chart": "servo.path_stability",
     "view": "show.scene",
     "interact": "show.interact",
     "plot": "show.plot",

@@ -21,6 +21,8 @@ from .robot.pose import approach as approach
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
 from .robot.tree import Tree as Tree
+from .servo.path_stability import least_rate as least_rate
+from .servo.path_stability import stability_chart as stability_chart
 from .servo.result import TrackResult as TrackResult
 from .servo.run import track as track
 from .servo.stability import best_gains as best_gains

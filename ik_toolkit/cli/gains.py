@@ -34,6 +34,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     """Judge a tracking method's gains at a rate, at rest and along a path, and name better ones.
 
     Without gains the best ones at rest are judged. Without a path they are judged at rest alone, which is the same for every robot.
+    With a path, the least rate from which these gains are stable along it is named as well.
 
     Exit code 0 when the gains are stable, 1 when they are not.
 
@@ -42,10 +43,12 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     ik gains planar_2r --path circle --position-only --kappa 4 --rate 5
     """
     from ..robot.robot import Robot
+    from ..servo.path_stability import least_rate
     from ..servo.stability import check_gains
 
     arm = robot.load(robot.choose_tips())
     along_path: dict[str, Any] = {}
+    least: Any = None
     if asked.shape is not None:
         if not isinstance(arm, Robot):
             raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
@@ -54,14 +57,17 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     used = chosen(asked)  # raises for a rate of 0, before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
-    write_json({"robot": arm.name, **vars(check), "along": along}, out.as_json)
+    if along_path and check.longest_step > 0.0:  # else the gains are stable at no rate
+        least = least_rate(along_path["robot"], along_path["path"], asked.method, **used)
+    rates = None if least is None else {"stable": least.bands, "most": least.most}
+    write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)
     if not out.as_json:
         show(facts({
             "robot": arm.name,
             "method": f"{check.method}, {equations(used)}",
             "stability": judged(check),
             "best at rest": equations(check.suggestion),
-        }))  # fmt: skip
+        } | ({} if least is None else {"least rate": least.message})))  # fmt: skip
     notice(check.message)
     if not check.stable:
         raise typer.Exit(1)

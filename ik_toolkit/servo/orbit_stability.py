@@ -1,27 +1,29 @@
-"""How a small error grows along a moving target: tracking methods, linearised about the exact motion at every sample.
+"""How a small error grows along a moving target: tracking methods, linearised about a motion at every sample.
 
-At rest a method has the same matrix for every arm (stability.py). In motion the matrix also depends on dJ/dt. Let D(x) be the
-derivative of J along a joint velocity x, and v the target's velocity. A disturbance dq changes J^+ v by -J^+ D(qd) dq, so `cv` has
-kappa I + J^+ D(qd) in place of kappa. At acceleration level the second derivative of J along the motion enters as well. The
-product of the matrices over a closed path is the derivative of the map from one lap to the next; its spectral radius is the factor
-by which an error grows per lap (Floquet).
+At rest a method has the same matrix for every arm (stability.py). In motion the matrix also depends on how the Jacobian J changes.
+`step_matrices` is the exact derivative of one step of a method, undamped, at any state: the derivatives of J come from cross
+products of its columns, and those of J^+ from Golub and Pereyra (1973), eq. 4.12. The product of the matrices over a closed path is
+the derivative of the map from one lap to the next; its spectral radius is the factor by which an error grows per lap (Floquet).
+`PathMotion` takes the derivatives on the motion without error, which a stable method follows up to its truncation error.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget
+from ..kernel.records import POINTS
 from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
-STEP = 1e-5  # [rad or arm reaches] step of the first differences of J, with an error of about 1e-10
-SECOND = 1e-4  # [rad or arm reaches] step of the second differences of J, with an error of about 1e-8
 LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
 ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
+SAMPLES, FINE = 100, 0.03  # least number of samples of a motion; largest distance between them [arm reaches, rad]
 CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
 
 
@@ -44,110 +46,195 @@ class Growth(NamedTuple):
         return f"a small error changes {self.factor:.3g}-fold {over}"
 
 
-class Motion(NamedTuple):
-    """Matrices of the motion without error, one for each of N steps; D(x) is the derivative of J along joint velocities x.
+class Bent(NamedTuple):
+    """A Jacobian of N configurations and its derivatives by the n joints.
 
-    row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second derivative of J
-    along qd; each (N, n, n). first, last (m, n): J at the start and at the end.
+    J: (N, m, n); H: (N, m, n, n), where H[:, :, j, i] is the derivative of column j by joint i; third: takes x and y (N, n) and
+    returns the derivative (N, m, n), by each joint, of the product (dJ/dt along x) y.
     """
 
-    row: np.ndarray
+    J: np.ndarray
+    H: np.ndarray
+    third: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+class Orbit(NamedTuple):
+    """What a step needs of its state beside the joint values, for N steps.
+
+    rate (N, n): joint rates; error, ahead (N, m): target now, and at the end of the step, minus tip now; v, a (N, m): velocity and
+    acceleration of the target.
+    """
+
     rate: np.ndarray
-    acceleration: np.ndarray
-    bend: np.ndarray
-    second: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
+    error: np.ndarray
+    ahead: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
 
 
-def growth(
-    robot: Robot, reference: Reference, method: str, h: float, gains: dict[str, float], *, null_damping: float = 0.0
-) -> Growth:
-    """Return how an error of a method grows along a reference, without limits.
+class PathMotion:
+    """The motion of a robot that keeps its tip on a reference, without null-space motion, and how errors grow along it.
 
-    Args:
-        robot: The robot.
-        reference: The path.
-        method: Name of the method.
-        h: Sample time [s].
-        gains: Gains of the method by name.
-        null_damping: Damping of null-space motion [1/s].
-
-    Returns:
-        The growth: for a closed path the spectral radius of the map from lap to lap, for an open path the largest possible
-            ratio of the error at its end to the error at its start.
-
-    Raises:
-        InvalidTarget: The path cannot be followed.
-        InvalidOption: robot or reference is of the wrong type, or h is longer than the path.
+    Raises InvalidTarget if the path cannot be followed, InvalidOption if robot or reference is of the wrong type.
     """
-    if not isinstance(robot, Robot) or not isinstance(reference, Reference):
-        raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
-    times = reference.times(h)
-    if len(times) < 2:
-        raise InvalidOption(f"h = {h:g} s is longer than the path ({reference.duration:g} s)")
-    made = exact_motion(robot, reference, times)
-    steps = step_matrices(made, method, h, gains, null_damping)
-    size = steps.shape[-1] // robot.n
-    total, scale = np.eye(size * robot.n), 0.0
-    for A in steps:
+
+    def __init__(self, robot: Robot, reference: Reference) -> None:
+        """Follow a reference from home in steps so short that each sample is found from the one before."""
+        from ..solvers.solve import solve
+
+        if not isinstance(robot, Robot) or not isinstance(reference, Reference):
+            raise InvalidOption("gains are judged along a path= (a Reference, as ik.circle) of a robot= (a Robot)")
+        self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
+        T = reference.at(np.linspace(0.0, reference.duration, SAMPLES))[0]
+        moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
+        count = max(SAMPLES, int(moved.max(axis=(1, 2)).sum() / FINE))
+        self.times = np.linspace(0.0, reference.duration, count)
+        self.q = np.tile(solve(robot, reference.target(0.0), q0=robot.home).q, (count, 1))
+        self._last: tuple[float, Any] = 0.0, None  # The samples of the last sample time serve all gains of a chart.
+        T = reference.at(self.times)[0]
+        for k in range(count):
+            self.q[k] = self._follow(self.q[max(k - 1, 0)][None], T[k : k + 1], self.times[k : k + 1])[0]
+
+    def _follow(self, Q: np.ndarray, T: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return joint values at which the tip is at T (N, 4, 4), found from Q (N, n); times (N,) [s] are for the error."""
+        for _ in range(ITERATIONS):
+            now, J = self.robot.chain.forward(Q, jacobian=True)
+            e = tip_errors(T, now, self.m)
+            far = np.abs(e).max(axis=1)
+            if far.max() < EXACT:
+                return Q
+            Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, : self.m], rcond=SINGULAR), e)
+        at = times[int(np.argmax(far))]
+        raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s")
+
+    def sampled(self, h: float) -> tuple[Bent, Orbit]:
+        """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
+        if self._last[0] == h:
+            return self._last[1]
+        times = self.reference.times(h)
+        if len(times) < 2:
+            raise InvalidOption(f"h = {h:g} s is longer than the path ({self.reference.duration:g} s)")
+        T, V, A = self.reference.at(times)
+        Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), T, times)
+        bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
+        rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, : self.m])[:-1]
+        ahead = tip_errors(T[1:], poses[:-1], self.m)
+        self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
+        return self._last[1]
+
+    def growth(
+        self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
+    ) -> Growth:
+        """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
+
+        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the error at the
+        end to that at the start. h [s]; null_damping [1/s]; pace: how many times as fast the reference is followed.
+        """
+        bent, orbit = self.sampled(pace * h)
+        orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
+        steps = step_matrices(bent, orbit, method, h, gains, null_damping)
+        blocks = np.eye(steps.shape[-1] // self.robot.n)
+        total, scale = chained(steps)
+        # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
+        lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
+        # The last sample may be before the path's end.
+        T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
+        off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
+        closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
+        value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
+        logarithm = float(np.log(max(value, 1e-300)) + scale)
+        return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+
+
+def stable_bands(
+    factor: Callable[[float], float], low: float, high: float, *, spacing: float = 1.05, halvings: int = 11
+) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...]]:
+    """Return the bands of sample rates [Hz] from low to high in which factor(rate), the growth along a path, is below 1.
+
+    Returned are the rates tried (K,), two neighbours by `spacing` apart at most; the factors there (K,); and the bands (first, last
+    rate), their borders found by halving the interval between two rates tried. A band between two of them is missed.
+    """
+    rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(spacing)))
+    rates[-1] = high
+    factors = np.array([factor(rate) for rate in rates])
+    good = factors < 1.0
+    edges = [] if not good[0] else [low]
+    for i in np.flatnonzero(good[1:] != good[:-1]):
+        ends = {bool(good[i]): rates[i], bool(good[i + 1]): rates[i + 1]}
+        for _ in range(halvings):
+            middle = 0.5 * (ends[True] + ends[False])
+            ends[factor(middle) < 1.0] = middle
+        edges.append(float(ends[True]))
+    edges += [high] if good[-1] else []
+    return rates, factors, tuple(zip(edges[::2], edges[1::2], strict=True))
+
+
+def chained(matrices: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the product of matrices (N, k, k), the first applied first, over its scale, and the logarithm of the scale.
+
+    The product along an unstable path exceeds what a float can hold.
+    """
+    total, scale = np.eye(matrices.shape[-1]), 0.0
+    for A in matrices:
         total = A @ total
         largest = np.abs(total).max()
-        # The product along an unstable path exceeds what a float can hold, so its scale is kept as a logarithm.
         if not 1e-100 < largest < 1e100:
             largest = max(largest, 1e-300)
             total, scale = total / largest, scale + np.log(largest)
-    # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
-    blocks = np.eye(size)
-    lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
-    T, V, _ = reference.at(np.array([0.0, reference.duration]))  # The last sample may be before the path's end.
-    off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())
-    value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
-    logarithm = float(np.log(max(value, 1e-300)) + scale)
-    return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+    return total, scale
 
 
-def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motion:
-    """Return the Motion that keeps the tip on the reference at times (N,) [s], without null-space motion."""
-    from ..solvers.solve import solve
+def tip_errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
+    """Return goals minus poses, both (N, 4, 4), as (N, m): a vector [m] and, if m is 6, a rotation vector [rad] in base axes."""
+    off = goals[:, :3, 3] - poses[:, :3, 3]
+    if m == 3:
+        return off
+    turn = goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
+    return np.concatenate([off, [log(R) for R in turn]], axis=1)
 
-    T, V, A = reference.at(times)
-    m = 3 if reference.position_only else 6
-    q, chain = solve(robot, reference.target(0.0), q0=robot.home).q, robot.chain
-    Q = np.empty((len(times), robot.n))
-    for k, goal in enumerate(T):
-        for _ in range(ITERATIONS):
-            now, J = chain.forward(q[None], jacobian=True)
-            e = np.concatenate([goal[:3, 3] - now[0, :3, 3], log(goal[:3, :3] @ now[0, :3, :3].T)])[:m]
-            if np.abs(e).max() < EXACT:
-                break
-            q = q + np.linalg.pinv(J[0, :m], rcond=SINGULAR) @ e
-        else:
-            raise InvalidTarget(f"reference '{reference.name}' cannot be followed at t = {times[k]:g} s")
-        Q[k] = q
 
-    def jacobians(at: np.ndarray) -> np.ndarray:
-        return chain.forward(at, jacobian=True)[1][:, :m]
+def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
+    """Return the first m rows of the Jacobians at Q (N, n) [rad or m] and their derivatives, from the joints' columns.
 
-    def along(x: np.ndarray) -> np.ndarray:
-        """Return D(x), the derivative (N, m, n) of J along joint velocities x (N, n)."""
-        size = np.maximum(np.abs(x / chain.unit).max(axis=1), 1e-12)[:, None]
-        move = STEP * x / size
-        return (jacobians(Q + move) - jacobians(Q - move)) * (size / (2.0 * STEP))[:, :, None]
+    Let u_t, w_t be the linear and angular column of joint t, r nearer the base. Then d u_t / d q_r = w_r x u_t = d u_r / d q_t,
+    d w_t / d q_r = w_r x w_t, and d w_r / d q_t = 0.
+    """
+    rows, ends, n = robot.chain.rows, robot.chain.ends, robot.n
+    L, owner = len(rows), rows[:, 8].astype(int)
+    # Each joint is a coordinate of its own here; followers are added to their leaders' columns at the end.
+    single = np.column_stack([rows[:, :8], np.arange(L), rows[:, 9]])
+    ends = np.concatenate([ends[:POINTS], np.zeros(7 * L), ends[POINTS + 7 * n :]])
+    chain = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner])
+    J = chain.forward(Q[:, owner], jacobian=True)[1]
+    u, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
+    later = np.arange(L)[:, None, None] >= np.arange(L)[:, None]
+    # [t, r] is w_r x u_t and w_r x w_t.
+    by_u, by_w = np.cross(w[:, None], u[:, :, None]), np.cross(w[:, None], w[:, :, None])
+    by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
+    sums = np.eye(n)[owner]
 
-    J = jacobians(Q)
-    inverse = np.linalg.pinv(J, rcond=SINGULAR)
-    qd = np.einsum("kij,kj->ki", inverse, V[:, :m])
-    rate = along(qd)
-    curve = np.einsum("kij,kj->ki", rate, qd)
-    qdd = np.einsum("kij,kj->ki", inverse, A[:, :m] - curve)
-    size = np.maximum(np.abs(qd / chain.unit).max(axis=1), 1e-12)[:, None]
-    move = SECOND * qd / size
-    second = (jacobians(Q + move) - 2.0 * J + jacobians(Q - move)) * ((size / SECOND) ** 2)[:, :, None]
-    bend = along(np.einsum("kij,kj->ki", inverse, curve))
-    row, rate, acceleration, bend, second = ((inverse @ part)[:-1] for part in (J, rate, along(qdd), bend, second))
-    return Motion(row, rate, acceleration, bend, second, J[0], J[-1])
+    def before(parts: np.ndarray) -> np.ndarray:  # sums over the joints nearer the base
+        return np.cumsum(parts, axis=1) - parts
+
+    def after(parts: np.ndarray) -> np.ndarray:  # sums over the joint itself and those nearer the tip
+        return parts.sum(axis=1, keepdims=True) - before(parts)
+
+    def third(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the derivative of sum_t y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t), see `Bent`.
+
+        turn_t is the angular velocity before joint t, speed_t the velocity of the tip due to t and later joints, at rates x.
+        """
+        x, y = x[:, owner, None], y[:, owner]
+        k = len(x)
+        turn, speed = before(w[:k] * x), after(u[:k] * x)
+        dturn, dspeed = before(by_w[:k] * x[..., None]), after(by_u[:k] * x[..., None])
+        turn, speed, U, W = (part[:, :, None] for part in (turn, speed, u[:k], w[:k]))
+        linear = np.cross(dturn, U) + np.cross(turn, by_u[:k]) + np.cross(by_w[:k], speed) + np.cross(W, dspeed)
+        every = np.concatenate([linear, np.cross(dturn, W) + np.cross(turn, by_w[:k])], axis=3)
+        return (np.einsum("ktim,kt->kmi", every, y) @ sums)[:, :m]
+
+    H = np.concatenate([by_u, by_w], axis=3).transpose(0, 3, 1, 2)[:, :m]
+    return Bent(J[:, :m] @ sums, sums.T @ H @ sums, third)
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
@@ -155,39 +242,76 @@ def null_rate(method: str, null_damping: float, h: float) -> float:
     return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
 
 
-def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
-    """Return the matrices (N, k n, k n) that carry a small disturbance over each step.
+def step_matrices(
+    bent: Bent, orbit: Orbit, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0
+) -> np.ndarray:
+    """Return the matrices (N, k n, k n) that carry a small disturbance over each step: the exact derivative of the step.
 
-    Its k n states are those of `mapping_matrix`. Method aa is taken with option reading=2 (where dJ/dt is evaluated), the default.
+    Its k n states are those of `mapping_matrix`. Method aa takes option reading (where dJ/dt is evaluated) among the gains.
     """
-    eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
-    null = null_rate(method, null_damping, h) * (eye - m.row)
-    if method == "av":
-        return eye - gains["share"] * m.row - h * m.rate
+    N = len(orbit.rate)
+    J, H = bent.J[:N], bent.H[:N]
+    P = np.linalg.pinv(J, rcond=SINGULAR)
+    eye = np.broadcast_to(np.eye(J.shape[2]), (N, J.shape[2], J.shape[2]))
+    free, damped = eye - P @ J, null_rate(method, null_damping, h)
+    qd = orbit.rate
+
+    def times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.einsum("kij,kj->ki", A, x)
+
+    def along(x: np.ndarray) -> np.ndarray:  # D(x), the derivative of J along x
+        return np.einsum("kmji,ki->kmj", H, x)
+
+    def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y by q
+        return np.einsum("kmji,kj->kmi", H, y)
+
+    def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:  # the derivative of J^+ b by q; by_q is that of b
+        y = times(P, b)
+        dual, left = times(P.swapaxes(1, 2), y), b - times(J, y)
+        outer = free @ np.einsum("kmji,km->kji", H, dual) + P @ P.swapaxes(1, 2) @ np.einsum("kmji,km->kji", H, left)
+        return P @ (by_q - turned(y)) + outer
+
+    behind, coming = (-_logarithm(e) @ J for e in (orbit.error, orbit.ahead))  # derivatives of the errors by q
     if method == "cv":
-        K = gains["kappa"] * m.row + m.rate
-        return _blocks([[eye - 1.5 * h * K, -0.5 * h * eye], [-K, 0.0 * eye]])
+        u = inverse(orbit.v + gains["kappa"] * orbit.error, gains["kappa"] * behind)
+        return _blocks([[eye + 1.5 * h * u, -0.5 * h * eye], [u, 0.0 * eye]])
+    drift = inverse(times(J, qd), turned(qd))  # minus the derivative of the null-space part of the rates by q
     if method == "ca":
-        P = gains["kp"] * m.row + gains["kd"] * m.rate + m.acceleration + m.second
-        D = gains["kd"] * m.row + 2.0 * m.rate + null
+        kp, kd = gains["kp"], gains["kd"]
+        D = along(qd)
+        b = orbit.a + kd * (orbit.v - times(J, qd)) + kp * orbit.error - times(D, qd)
+        by_q = inverse(b, kp * behind - kd * turned(qd) - bent.third(qd, qd)) + damped * drift
+        by_rate = -P @ (kd * J + D + turned(qd)) - damped * free
         return _blocks(
             [
-                [eye - 0.75 * h * h * P, h * eye - 0.75 * h * h * D, -0.25 * h * h * eye],
-                [-1.5 * h * P, eye - 1.5 * h * D, -0.5 * h * eye],
-                [-P, -D, 0.0 * eye],
+                [eye + 0.75 * h * h * by_q, h * eye + 0.75 * h * h * by_rate, -0.25 * h * h * eye],
+                [1.5 * h * by_q, eye + 1.5 * h * by_rate, -0.5 * h * eye],
+                [by_q, by_rate, 0.0 * eye],
             ]
         )
-    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd in method aa and w in aad.
-    # s is J^+ times the error to the next target, and w = s / h + (1 - J^+ J) qd.
-    # The derivative of J^+ itself is left out, as it only causes null-space motion.
-    g = 0.5 if method == "aa" else gains["gamma"]
-    times_w = 1.0 if method == "aa" else 2.0
-    w_by_q, w_by_rate = -(gains["share"] * m.row / h + m.rate), eye - m.row
-    curve_by_q = times_w * m.rate @ w_by_q + m.second - m.bend
-    curve_by_rate = (2.0 - times_w) * m.rate + times_w * m.rate @ w_by_rate
-    a_by_q = w_by_q / (g * h) - curve_by_q / (2.0 * g)
-    a_by_rate = -m.row / (g * h) - curve_by_rate / (2.0 * g) - null
-    return _blocks([[eye + g * h * h * a_by_q, h * (eye + g * h * a_by_rate)], [h * a_by_q, eye + h * a_by_rate]])
+    kept = 1.0 - gains["share"]
+    b = orbit.ahead - kept * orbit.error
+    move = inverse(b, coming - kept * behind)
+    if method == "av":
+        return eye + move
+    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), where s = J^+ b, and x, y are qd or s / h + free qd.
+    g, reading = (0.5, gains.get("reading", 2)) if method == "aa" else (gains["gamma"], 3)
+    rates = (qd, np.zeros_like(eye), eye)  # with its derivatives by q and by qd
+    expected = (times(P, b) / h + times(free, qd), move / h - drift, free)
+    x, y = expected if reading == 3 else rates, rates if reading == 1 else expected
+    curve, by_x, by_y = times(along(x[0]), y[0]), turned(y[0]), along(x[0])
+    curve_by_q = inverse(curve, bent.third(x[0], y[0]) + by_x @ x[1] + by_y @ y[1])
+    by_q = (move / h - drift) / (g * h) - curve_by_q / (2.0 * g) + damped * drift
+    by_rate = (free - eye) / (g * h) - P @ (by_x @ x[2] + by_y @ y[2]) / (2.0 * g) - damped * free
+    return _blocks([[eye + g * h * h * by_q, h * (eye + g * h * by_rate)], [h * by_q, eye + h * by_rate]])
+
+
+def _logarithm(e: np.ndarray) -> np.ndarray:
+    """Return matrices (N, m, m) that turn a small motion of the tip into the change of an error e (N, m), but for the sign."""
+    made = np.tile(np.eye(e.shape[1]), (len(e), 1, 1))
+    if e.shape[1] == 6:
+        made[:, 3:, 3:] = [pin.Jlog3(pin.exp3(turn)) for turn in e[:, 3:]]
+    return made
 
 
 def _blocks(rows: list[list[np.ndarray]]) -> np.ndarray:

@@ -17,7 +17,6 @@ For this case `delayed_matrix` adds the earlier positions to the state.
 
 import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -264,6 +263,15 @@ class GainCheck:
         return self.verdict == "stable"
 
 
+def complete(method: str, gains: dict[str, float]) -> dict[str, float]:
+    """Return the gains of a method with those added that have a default. Raises InvalidOption for an unknown name."""
+    one_of(method, METHODS, "tracking method")
+    for name in gains:
+        if name not in GAINS[method]:
+            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    return {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
+
+
 def check_gains(
     method: str,
     h: float,
@@ -298,10 +306,7 @@ def check_gains(
         InvalidOption: A gain is missing or not one of the method's, or a number is out of range.
         InvalidTarget: The path cannot be followed.
     """
-    one_of(method, METHODS, "tracking method")
-    for name in gains:
-        if name not in GAINS[method]:
-            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    complete(method, gains)
     delay, null_damping = _samples(delay), number(null_damping, "null_damping [1/s]")
     if (robot is None) != (path is None):
         raise InvalidOption("gains are judged along a path with both robot= and path=")
@@ -328,43 +333,26 @@ def check_gains(
     if verdict != "stable" and not rescued:
         message += _way_out(method, best, longest, delay)
     if path is not None:
-        from .orbit_stability import Growth, growth
+        from .orbit_stability import PathMotion, stable_bands
 
-        def along(h: float, gains: dict[str, float]) -> Growth:
-            complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
-            return growth(robot, path, method, h, complete, null_damping=null_damping)
+        motion = PathMotion(robot, path)
+
+        def along(h: float, gains: dict[str, float]) -> "Growth":
+            return motion.growth(method, h, complete(method, gains), null_damping)
 
         found = along(h, gains)
         judged = "stable" if found.factor < 1.0 else "unstable"
         message += f" Along the path it is {judged}: {found.words} ({found.per_step:.5g} a sample)."
         if rescued or (judged == "unstable" and verdict == "stable"):
-            top, verdict = (longest, verdict) if rescued else (h, judged)
-            longest = _longest_along(lambda h: along(h, gains).factor, top, path.duration)
+            low, verdict = (1.0 / longest, verdict) if rescued else (1.0 / h, judged)
+            most = max(min(10.0 * low, 2000 / path.duration), 2.0 * low)
+            bands = stable_bands(lambda rate: along(1.0 / rate, gains).factor, low, most)[2]
+            longest = 1.0 / bands[-1][0] if bands and bands[-1][1] == most else 0.0
             tries = [equations(best)]
             tries = tries if along(h, best).factor < 1.0 else []
             tries += [f"a rate above {1.0 / longest:.4g} Hz"] if longest > 0.0 else []
             message += f" There {' or '.join(tries)} is stable." if tries else ""
     return GainCheck(method, h, verdict, radius, message, best, longest, delay, gain[0], found)
-
-
-def _longest_along(
-    factor: Callable[[float], float], h: float, duration: float, most: int = 4000, halvings: int = 8
-) -> float:
-    """Return the longest sample time [s] below h at which factor(h), the growth along a path, is below 1; 0 if none is found.
-
-    The sample rate is doubled until the growth is below 1, while the path has at most `most` samples; then the interval of sample
-    times around the border is halved `halvings` times.
-    """
-    low = 0.5 * h
-    while factor(low) >= 1.0:
-        low *= 0.5
-        if duration / low > most:
-            return 0.0
-    high = 2.0 * low
-    for _ in range(halvings):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if factor(middle) < 1.0 else (low, middle)
-    return low
 
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:

@@ -11,6 +11,7 @@ from ..motion.trajectory import Trajectory
 from ..paths.result import PathResult
 from ..robot.joints import Joints
 from ..robot.pose import check_target
+from ..servo.path_stability import StabilityChart
 from ..servo.result import TrackResult
 from ..solvers.batch.result import BatchResult
 from ..solvers.result import Result
@@ -36,7 +37,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         what: A Result with history, or a dict label -> Result, for the error after every iteration; a TrackResult, or a
             dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
             Benchmark, TuneResult, ReachabilityMap, Placements or Workspace; a Calibration for its residuals and errors; a
-            BatchResult for the share solved within so many iterations; Solutions, the first eight as lines; a
+            StabilityChart; a BatchResult for the share solved within so many iterations; Solutions, the first eight as lines; a
             configuration q (n,) [rad or m] or a dict label -> q for the arm as
             lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
@@ -65,6 +66,11 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = plot_benchmark(what)
     elif isinstance(what, ReachabilityMap):
         figure = plot_map(what)
+    elif isinstance(what, StabilityChart):
+        with drawing() as plt:
+            figure, axis = plt.subplots(figsize=(6.2, 4.2), layout="constrained")
+            figure.colorbar(stability_map(axis, what), label="factor of a small error in a sample")
+            axis.set_title(literal_text(f"{what.robot} along '{what.path}': {what.method}"))
     elif isinstance(what, Placements):
         figure = plot_places(what)
     elif isinstance(what, TuneResult):
@@ -173,6 +179,20 @@ def plot_batch(batch: BatchResult) -> Any:
             literal_text(f"{batch.solver} on {batch.plan.robot.name}: {good.sum()} of {len(batch)} solved{left}")
         )
     return figure
+
+
+def stability_map(axis: Any, chart: StabilityChart) -> Any:
+    """Draw a StabilityChart into an axis: the stable region, darker where errors die out faster.
+
+    Returns what a colour bar takes.
+    """
+    points = chart.gain, chart.travel, chart.per_step
+    shades = axis.contourf(*points, levels=[0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0], cmap="Blues_r", vmin=-0.2, vmax=1.15)
+    axis.contour(*points, levels=[1.0], colors="black", linewidths=1.2)
+    name = r"$\kappa$ h" if chart.method == "cv" else rf"$k_D$ h, with $k_P$ = {chart.shape:.4g} $k_D^2$"
+    axis.set(xlim=(0.0, chart.gain[-1]), ylim=(0.0, chart.travel.max()), xlabel=name)
+    axis.set_ylabel("target's travel in a sample [m]")
+    return shades
 
 
 def plot_calibration(found: Calibration) -> Any:

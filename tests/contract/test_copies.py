@@ -18,6 +18,7 @@ from ik_toolkit.errors import IKError, InvalidOption, Portable
 
 WAYS = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda thing: pickle.loads(pickle.dumps(thing))}
 AT = np.array([0.9, 0.1, 0.2])
+ROUND = ik.circle(center=(1.0, 0.6, 0.0), radius=0.35)
 RULES = ("LM", "DLS", "Pinv", "Transpose", "Newton", "CCD", "PID", "StateSpace", "Planar2R", "Inspection")
 
 
@@ -135,6 +136,8 @@ HELD = {
         lambda made: (made.states, made.q, made.contains([[1.0, 1.0, 0.0]]), str(made.audit)),
     ),
     "GainCheck": (lambda: ik.check_gains("cv", 0.01, kappa=20.0), repr),
+    "LeastRate": (lambda: ik.least_rate(robots.load("planar_2r"), ROUND, most=3.0), repr),
+    "StabilityChart": (lambda: ik.stability_chart(robots.load("planar_2r"), ROUND, gain=[0.5], samples=[9]), repr),
 }  # fmt: skip
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from ...servo import stability as st
 from ...servo.methods import Run, System, simulate
-from ...servo.orbit_stability import Motion, step_matrices
+from ...servo.orbit_stability import Bent, Orbit, chained, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-MEASURED = ("aa1", "aa2")  # method aa with interpretations 1, 2 of dJ/dt; its error growth is measured by runs
+ZIGZAGS = ("aa1", "aa2")  # method aa with readings 1, 2 of dJ/dt, which zigzag about the motion without error
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -97,19 +97,33 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system and a path to follow, with number of steps, initial error (actual - target), and `start`: q at a task position."""
+    """A system and a path to follow, with number of steps, initial error (actual - target), and `start`: q at a task position.
+
+    third: takes q, x, y (n,) and returns the derivative (m, n) of the system's rate(q, x, y) by q.
+    """
 
     system: System
     path: Path
     steps: int
     start: Callable[[np.ndarray], np.ndarray]
     offset: np.ndarray
+    third: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] = lambda q, x, y: np.zeros((len(q), len(q)))
+
+
+def one_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the derivative (1, 1) of `rate` of `one_dof` by q."""
+    return np.array([0.375 * q**-2.5 * x * y])
+
+
+def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the derivative (2, 2) of `rate` of `rr_arm` by q, for links of 1 m."""
+    return np.array([np.sin(q), -np.cos(q)]) * x * y
 
 
 CASES = {
-    "1-DoF": Case(one_dof(), sine, 1870, lambda p: (p - 0.2) ** 2, np.array([0.1])),
+    "1-DoF": Case(one_dof(), sine, 1870, lambda p: (p - 0.2) ** 2, np.array([0.1]), one_third),
     "PP": Case(pp_arm(), circle((1.0, 1.0), 0.3, 1.0), 1000, lambda p: p - 0.5, np.array([0.1, -0.05])),
-    "RR": Case(rr_arm(), circle((1.0, 0.6), 0.35, 0.5), 630, rr_inverse, np.array([0.05, -0.05])),
+    "RR": Case(rr_arm(), circle((1.0, 0.6), 0.35, 0.5), 630, rr_inverse, np.array([0.05, -0.05]), rr_third),
 }
 
 
@@ -161,70 +175,31 @@ def settled(case: Case, made: Run) -> dict[str, float]:
 def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
     """Return the largest factor by which a small disturbance changes in one lap [s] of the moving target (Floquet multiplier).
 
-    It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact
-    motion; h is adjusted to divide the lap. Method aa with interpretation 1 or 2 of dJ/dt zigzags about that motion, so the
-    factor is then measured by disturbed runs (`measured_growth`).
-    """
-    if key in MEASURED:
-        return measured_growth(case, gains, key, lap)
-    steps = round(lap / gains.h)
-    h = lap / steps
-    # Method aa with interpretation 3 of dJ/dt is method aad without its damping.
-    known = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aa3": {"gamma": 0.5, "share": 1.0}}
-    of_key = known.get(key) or {**METHODS[key][1], "share": 1.0}
-    method = "aad" if key == "aa3" else METHODS[key][0]
-    matrices = step_matrices(exact_motion(case, h * np.arange(steps + 1)), method, h, of_key)
-    return st.spectral_radius(functools.reduce(lambda total, A: A @ total, matrices))
-
-
-def exact_motion(case: Case, times: np.ndarray) -> Motion:
-    """Return J^+ J, J^+ dJ/dt etc. along the motion without error at some times [s]; J is square and has an inverse."""
-    system, rows = case.system, []
-    near = 1e-5  # [s] step of the difference quotient for dJ/dt; its error is about 1e-10
-    jacobians = [system.jacobian(case.start(case.path(t)[0])) for t in times]
-    for t, J in zip(times[:-1], jacobians, strict=False):
-        p, v, a = case.path(t)
-        q = case.start(p)
-
-        def along(x: np.ndarray, at: np.ndarray = q) -> np.ndarray:
-            """Return the derivative of J along joint velocities x (n,)."""
-            return np.column_stack([system.rate(at, x, y) for y in np.eye(len(x))])
-
-        qd = np.linalg.solve(J, v)
-        curve = system.rate(q, qd, qd)
-        second = (along(qd, q + near * qd) - along(qd, q - near * qd)) / (2.0 * near)
-        bend, acceleration = along(np.linalg.solve(J, curve)), along(np.linalg.solve(J, a - curve))
-        rows.append([np.linalg.solve(J, part) for part in (J, along(qd), acceleration, bend, second)])
-    row, rate, acceleration, bend, second = (np.array(part) for part in zip(*rows, strict=True))
-    return Motion(row, rate, acceleration, bend, second, jacobians[0], jacobians[-1])
-
-
-def measured_growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
-    """Return the growth factor as `growth` does, but from disturbed runs; a factor below about 1e-8 is rounding.
-
-    The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
-    start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.
+    It is the spectral radius of the product of the exact derivatives of all steps. They are taken on the motion without error, but
+    for method aa with interpretation 1 or 2 of dJ/dt on the run that it makes from there, zigzag included. h is adjusted to divide
+    the lap.
     """
     steps = round(lap / gains.h)
     h = lap / steps
-    q0 = case.start(case.path(0.0)[0])
-    n = len(q0)
-    rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
-    command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
-    # The states of a method are some of q (0), rate (1) and previous command (2).
-    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))
-    start = np.concatenate([q0, rate0, command0])
+    times = h * np.arange(steps + 1)
+    target, v, a = (np.array(part) for part in zip(*(case.path(t) for t in times), strict=True))
+    system = case.system
+    q = np.array([case.start(p) for p in target])
+    J = np.array([system.jacobian(x) for x in q])
+    rate = np.linalg.solve(J, v[..., None])[..., 0]
+    if key in ZIGZAGS:
+        made = run(case, gains, key, h=h, steps=steps, rate0=rate[0])
+        q, rate = made.q, made.rate
+        J = np.array([system.jacobian(x) for x in q])
+    units = np.eye(q.shape[1])
+    H = np.array([[[system.rate(x, i, j) for i in units] for j in units] for x in q]).transpose(0, 3, 1, 2)
 
-    def after_a_lap(state: np.ndarray) -> np.ndarray:
-        task = case.system.position(state[:n]) - case.path(0.0)[0]
-        made = run(case, gains, key, task, h=h, steps=steps, rate0=state[n : 2 * n], command0=state[2 * n :])
-        return np.concatenate([made.q[-1], made.rate[-1], made.command])
+    def third(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.array([case.third(*at) for at in zip(q[:-1], x, y, strict=True)])
 
-    columns = [i + n * part for part in sizes for i in range(n)]
-    M = np.zeros((len(columns), len(columns)))
-    for j, column in enumerate(columns):
-        moved = [start.copy(), start.copy()]
-        moved[0][column] += disturbance
-        moved[1][column] -= disturbance
-        M[:, j] = ((after_a_lap(moved[0]) - after_a_lap(moved[1])) / (2.0 * disturbance))[columns]
-    return st.spectral_radius(M)
+    tip = np.array([system.position(x) for x in q])
+    orbit = Orbit(rate[:-1], (target - tip)[:-1], target[1:] - tip[:-1], v[:-1], a[:-1])
+    name, options = METHODS[key]
+    known = {"kappa": gains.kappa, "kp": gains.kp, "kd": gains.kd, "share": 1.0}
+    total, scale = chained(step_matrices(Bent(J, H, third), orbit, name, h, known | options))
+    return st.spectral_radius(total) * float(np.exp(scale))

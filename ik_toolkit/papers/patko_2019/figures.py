@@ -159,3 +159,25 @@ def draw_orders(plt: Any, steps: Sequence[float], curves: Mapping[str, Sequence[
     ax.minorticks_off()
     ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def draw_motion(plt: Any, charts: Sequence[tuple[Any, str]], sets: Mapping[str, Any], lap: float) -> Any:
+    """Draw stability charts, each with a title, and on each the published sets of gains while the sample rate changes."""
+    from ...show.plot import stability_map
+
+    rows = len(charts) // 2
+    figure, axes = plt.subplots(rows, 2, figsize=(9.6, 3.9 * rows), layout="constrained", squeeze=False)
+    shades = None
+    for ax, (chart, title) in zip(axes.flat, charts, strict=True):
+        shades = stability_map(ax, chart)
+        ax.set_title(title)
+        speed = chart.travel[0] * chart.samples[0] / lap  # [m/s] of the target
+        for k, (label, s) in enumerate(sets.items()):
+            if chart.method == "ca" and abs(s.kp / s.kd**2 - chart.shape) > 1e-9:
+                continue  # A set of another shape is not on this chart.
+            gain = s.kappa if chart.method == "cv" else s.kd
+            ax.plot([0.0, gain], [0.0, speed], color=COLOURS[1 - k], lw=1.2, label=label)
+            ax.plot(gain * s.h, speed * s.h, "o", color=COLOURS[1 - k], ms=5)
+        ax.legend(fontsize=8, loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
+    figure.colorbar(shades, ax=axes, label="factor of a small error in a sample (mean of a lap)", shrink=0.5)
+    return figure
