@@ -31,6 +31,13 @@ def positive(value: Any, name: str) -> float:
     return found
 
 
+def not_negative(value: Any, name: str) -> float:
+    """Return a value as a finite float that is not negative. Raises InvalidOption, which names the argument, if it is."""
+    if (found := number(value, name)) < 0.0:
+        raise InvalidOption(f"{name} must not be negative, not {found:g}")
+    return found
+
+
 def parts_of_step(dt: float, longest: float) -> int:
     """Return in how many parts, none longer than `longest` [s], a step of dt [s] is taken.
 

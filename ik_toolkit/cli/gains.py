@@ -52,14 +52,18 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     if asked.shape is not None:
         if not isinstance(arm, Robot):
             raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
-        path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3)
-        along_path = {"robot": arm, "path": path.reference}
+        if late.delay:
+            raise InvalidOption("gains with a delay are judged at rest only; omit --delay or --path")
+        q0 = joint_vector(arm, asked.q0, "--q0", robot.deg)
+        along_path = {"robot": arm, "path": asked_path(arm, asked, q0, {}, 1e-3).reference, "q0": q0}
     used = chosen(asked)  # raises for a rate of 0, before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
     if along_path and check.longest_step > 0.0:  # else the gains are stable at no rate
-        least = least_rate(along_path["robot"], along_path["path"], asked.method, **used)
-    rates = None if least is None else {"stable": least.bands, "most": least.most}
+        arguments: dict[str, Any] = along_path | used
+        least = least_rate(method=asked.method, **arguments)
+    names = ("rate", "most", "at_rest", "bands", "largest_move", "message")
+    rates = None if least is None else {name: getattr(least, name) for name in names}
     write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)
     if not out.as_json:
         show(facts({

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.array_view import cut, flat, keep, space, view
-from ..compile.jit import cached, compiled, inline, spliced
+from ..compile.jit import cached, compiled, dual, inline, spliced
 from .dispatch import problem_on
 from .limits import LIGHTEST, hold
 from .linalg import cholesky
@@ -17,6 +17,7 @@ from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
+SINGLE = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
 # Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
 DAMPING = 1e-10
 
@@ -285,3 +286,23 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
     refine_on_views(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
     keep(block)
+
+
+@dual
+def is_wide(J, m):
+    """Return whether a Jacobian J (n, m) has at least as many joints as errors that joints move; a row of zeros moves none.
+
+    Then JJ' is factored for the pseudo-inverse, else J'J, which is singular if some motion of the joints moves nothing.
+    """
+    n, top, moved = J.shape[0], 0.0, 0
+    if n >= m:
+        return True
+    for k in range(m):
+        for i in range(n):
+            top = max(top, abs(J[i, k]))
+    for k in range(m):
+        size = 0.0
+        for i in range(n):
+            size = max(size, abs(J[i, k]))
+        moved += size * size > SINGLE * top * top
+    return n >= moved

@@ -9,6 +9,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.jit import INLINE, inline, inner
+from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
 from .constrained_step import Allowed
@@ -192,11 +193,12 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
         # With fewer joints than errors not all errors can be closed, so their weights decide which pose is closest.
-        weighed = n < m
+        wide = is_wide(s.J, m)
+        weighed = not wide
         if weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
-        gram(s.J, m, n >= m, 0.0, s.G)
-        low = invert(s.G, min(n, m), s.y)
+        gram(s.J, m, wide, 0.0, s.G)
+        low = invert(s.G, m if wide else n, s.y)
         weak = law.damping > 0.0 and not low >= border * border
     if weak:
         if not weighed:

@@ -17,6 +17,7 @@ import math
 
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, row_product
+from ..kernel.null_space import is_wide
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
@@ -163,8 +164,9 @@ def brake(s, limits, mu, h):
         stopped = s.roof[i] <= 0.0 if slope > 0.0 else s.floor[i] >= 0.0
         for k in range(m):
             s.V[i, k] = 0.0 if stopped else s.J[i, k]
-    gram(s.V, m, n >= m, mu, s.G)
-    cholesky(s.G, m if n >= m else n, 0.0)
+    wide = is_wide(s.V, m)
+    gram(s.V, m, wide, mu, s.G)
+    cholesky(s.G, m if wide else n, 0.0)
     apply(s.V, m, s.G, s.e, s.y, s.null)
     for i in range(n):
         if limits[3, i] < math.inf:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..compile.jit import compiled, dual
 from ..kernel.linalg import TINY, cholesky, cholesky_solve
+from ..kernel.null_space import SINGLE, is_wide
 from ..kernel.records import Array
 from .viability import approach
 
@@ -25,7 +26,6 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes 
 # A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
 MOVING, GIVEN, RUNNING, READY = range(4)
 FINE, NOT_FINITE, RUNAWAY = range(3)  # end of the loop: all steps taken, command not finite, move too large
-SINGLE = 1e-24  # A row of J counts as zero if its diagonal entry in JJ' is below this share of the largest entry.
 # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
 FAR = 0.25
 SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
@@ -162,7 +162,7 @@ def factor(J, m, damping, G, y):
     lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, where s is a lower bound of the smallest
     singular value (Nakamura and Hanafusa, 1986, use the manipulability in place of s). damping = 0 never damps.
     """
-    wide = J.shape[0] >= m
+    wide = is_wide(J, m)
     k = m if wide else J.shape[0]
     gram(J, m, wide, 0.0, G)
     low = invert(G, k, y)
@@ -179,7 +179,7 @@ def factor(J, m, damping, G, y):
 def apply(J, m, G, b, y, out):
     """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
     n = J.shape[0]
-    wide = n >= m
+    wide = is_wide(J, m)
     k = m if wide else n
     for r in range(k):
         s = 0.0
@@ -354,7 +354,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
-    pace, f, wide, blocked, looked = natural(p, h), 1.0, n >= m, False, allowed.rows >= 0
+    pace, f, wide, blocked, looked = natural(p, h), 1.0, is_wide(J, m), False, allowed.rows >= 0
     for damped in range(2):
         if damped:
             gram(J, m, wide, FAR * brisk.bend, H)

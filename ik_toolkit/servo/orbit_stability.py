@@ -20,6 +20,7 @@ from ..robot.robot import Robot
 from .command import SHARE
 
 LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
+MOST = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
 ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
@@ -78,8 +79,8 @@ class PathMotion:
     Raises InvalidTarget if the path cannot be followed, InvalidOption if robot or reference is of the wrong type.
     """
 
-    def __init__(self, robot: Robot, reference: Reference) -> None:
-        """Follow a reference from home in steps so short that each sample is found from the one before."""
+    def __init__(self, robot: Robot, reference: Reference, q0: Any = None) -> None:
+        """Follow a reference from the solution near q0 (n,), default home, in steps so short that each sample leads on."""
         from ..solvers.solve import solve
 
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
@@ -89,7 +90,8 @@ class PathMotion:
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
         count = max(SAMPLES, int(moved.max(axis=(1, 2)).sum() / FINE))
         self.times = np.linspace(0.0, reference.duration, count)
-        self.q = np.tile(solve(robot, reference.target(0.0), q0=robot.home).q, (count, 1))
+        start = robot.home if q0 is None else robot.check_q(q0, "q0")
+        self.q = np.tile(solve(robot, reference.target(0.0), q0=start).q, (count, 1))
         self._last: tuple[float, Any] = 0.0, None  # The samples of the last sample time serve all gains of a chart.
         T = reference.at(self.times)[0]
         for k in range(count):
@@ -114,6 +116,10 @@ class PathMotion:
         times = self.reference.times(h)
         if len(times) < 2:
             raise InvalidOption(f"h = {h:g} s is longer than the path ({self.reference.duration:g} s)")
+        if len(times) > MOST:
+            raise InvalidOption(
+                f"{len(times):,} samples of the path are too many (at most {MOST:,}); judge a part of it"
+            )
         T, V, A = self.reference.at(times)
         Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), T, times)
         bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
@@ -122,13 +128,19 @@ class PathMotion:
         self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
         return self._last[1]
 
+    def largest_move(self, h: float) -> float:
+        """Return the largest move of a joint in a sample of h [s], [rad or arm reaches]."""
+        speed = np.abs(np.diff(self.q, axis=0) / np.diff(self.times)[:, None] / self.robot.chain.unit)
+        return h * float(speed.max())
+
     def growth(
         self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
     ) -> Growth:
         """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
 
-        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the error at the
-        end to that at the start. h [s]; null_damping [1/s]; pace: how many times as fast the reference is followed.
+        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the tip's error
+        at the end to one at the start, where the rates are right. h [s]; null_damping [1/s]; pace: how many times as fast the
+        reference is followed.
         """
         bent, orbit = self.sampled(pace * h)
         orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
@@ -141,7 +153,7 @@ class PathMotion:
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
         closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
-        value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
+        value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap[: self.m, : self.m], 2)
         logarithm = float(np.log(max(value, 1e-300)) + scale)
         return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
 

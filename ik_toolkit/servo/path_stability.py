@@ -18,9 +18,11 @@ from ..errors import InvalidOption, floats
 from ..motion.reference import Reference
 from ..robot.robot import Robot
 from ..text import equations
-from ..validate import number, one_of, positive
+from ..validate import not_negative, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
 from .stability import BEST_CA, WITHOUT, best_gains, complete, longest_step, mapping_matrix
+
+FAR = 0.15  # [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class LeastRate:
             apart, may have been missed.
         rates: (K,) [Hz] the rates that were tried, at most 5 % apart.
         growth: (K,) factor by which a small error changes over the path (over a lap if it is closed), at each.
-        message: One sentence.
+        largest_move: Largest move of a joint in a sample at `rate` [rad or arm reaches].
+        message: One sentence; a second one if a joint moves so far in a sample that the linearisation says little.
     """
 
     rate: float
@@ -44,6 +47,7 @@ class LeastRate:
     bands: tuple[tuple[float, float], ...]
     rates: np.ndarray
     growth: np.ndarray
+    largest_move: float
     message: str
 
 
@@ -53,6 +57,7 @@ def least_rate(
     method: str = "cv",
     *,
     most: float | None = None,
+    q0: Any = None,
     null_damping: float = 0.0,
     **gains: float,
 ) -> LeastRate:
@@ -64,6 +69,7 @@ def least_rate(
         method: Name of the tracking method.
         most: Highest rate to try [Hz]; default: ten times the least one at rest, but if that makes more than
             2000 samples of the path, as many as that, or 1.6 times the least one at rest.
+        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
         null_damping: Damping of null-space motion [1/s], as in `Method`.
         gains: Gains of the method, as in `check_gains`, the same at every rate; without any, those of `best_gains` for each rate.
 
@@ -78,7 +84,7 @@ def least_rate(
     own = [name for name in gains if name not in WITHOUT]
     if own:
         mapping_matrix(method, 1.0, **fixed)  # raises if a gain is missing or no number
-    motion, damping = PathMotion(robot, path), number(null_damping, "null_damping [1/s]")
+    motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping [1/s]")
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:
         raise InvalidOption(f"{method} with {equations(gains)} is stable at no rate: gains must be positive")
@@ -104,7 +110,10 @@ def least_rate(
     )
     others = [f"{a:.4g} to {b:.4g} Hz" for a, b in bands if b < top]
     words += f"; also stable from {', '.join(others)}." if others else "."
-    return LeastRate(found, top, at_rest, bands, rates, growth, words)
+    move = motion.largest_move(1.0 / found)
+    if move > FAR:
+        words += f" At the first of these a joint moves {move:.2g} rad in a sample; above {FAR:g} runs may differ."
+    return LeastRate(found, top, at_rest, bands, rates, growth, move, words)
 
 
 @dataclass(frozen=True)
@@ -144,6 +153,7 @@ def stability_chart(
     shape: float | None = None,
     gain: Any = None,
     samples: Any = None,
+    q0: Any = None,
     null_damping: float = 0.0,
 ) -> StabilityChart:
     """Return where cv or ca is stable along a path, over the gain times the sample time and the speed: Fig. 9 in motion.
@@ -155,6 +165,7 @@ def stability_chart(
         shape: For ca, kp / kd^2; default that of the best gains, 2.259.
         gain: (G,) values of kappa h or kd h; default 0.04 to 1.1.
         samples: (S,) whole numbers of samples of the path; default 12 to 240, about evenly spaced in travel.
+        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
         null_damping: Damping of null-space motion over the sample rate, null_damping h.
 
     Returns:
@@ -167,7 +178,7 @@ def stability_chart(
     Source: the method after Patko and Zelei (2019), Fig. 9, which holds at rest; the extension to motion is ours.
     """
     one_of(method, ("cv", "ca"), "method of a stability chart")
-    motion, damping = PathMotion(robot, path), number(null_damping, "null_damping")
+    motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping")
     kp_share = positive(BEST_CA[0] / BEST_CA[1] ** 2 if shape is None else shape, "shape")
     gain = np.linspace(0.04, 1.1, 28) if gain is None else _positive(gain, "gain")
     counts = 1.0 / np.linspace(1 / 12, 1 / 240, 14) if samples is None else _positive(samples, "samples")

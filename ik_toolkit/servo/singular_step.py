@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
+from ..kernel.null_space import is_wide
 from .laws import gram
 
 CLOSE = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
@@ -290,7 +291,8 @@ def take_out(J, W, U, V, lost, f, G):
             for i in range(n):
                 for c in range(m):
                     J[i, c] -= W[r, i] * U[r, c]
-    wide, k = n >= m, min(n, m)
+    wide = is_wide(J, m)
+    k = m if wide else n
     gram(J, m, wide, 0.0, G)
     for r in range(m):
         if lost[r] > 0.0:

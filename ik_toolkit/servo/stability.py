@@ -24,7 +24,7 @@ import numpy as np
 
 from ..errors import InvalidOption, near_match
 from ..text import equations
-from ..validate import number, one_of, positive
+from ..validate import not_negative, number, one_of, positive
 
 if TYPE_CHECKING:
     from .orbit_stability import Growth
@@ -280,6 +280,7 @@ def check_gains(
     noise: float | None = None,
     robot: Any = None,
     path: Any = None,
+    q0: Any = None,
     null_damping: float = 0.0,
     **gains: float,
 ) -> GainCheck:
@@ -295,7 +296,8 @@ def check_gains(
         noise: RMS of the noise on a measured position [rad or m]; the message tells the resulting RMS of the joints.
         robot: A Robot. With `path`, the gains are also judged along this path, by the growth of a small error over the path,
             or over a lap if the path is closed.
-        path: A Reference, as from ik.circle.
+        path: A Reference, as from ik.circle. A delay cannot be judged along it.
+        q0: (n,) the motion along the path follows the solution near it [rad or m]; default: home.
         null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
         gains: By method: kappa (cv); kp and kd (ca); share (av and aa); gamma and share (aad).
 
@@ -307,7 +309,7 @@ def check_gains(
         InvalidTarget: The path cannot be followed.
     """
     complete(method, gains)
-    delay, null_damping = _samples(delay), number(null_damping, "null_damping [1/s]")
+    delay, null_damping = _samples(delay), not_negative(null_damping, "null_damping [1/s]")
     if (robot is None) != (path is None):
         raise InvalidOption("gains are judged along a path with both robot= and path=")
     radius = spectral_radius(delayed_matrix(method, h, delay, **gains))
@@ -335,7 +337,9 @@ def check_gains(
     if path is not None:
         from .orbit_stability import PathMotion, stable_bands
 
-        motion = PathMotion(robot, path)
+        if delay:
+            raise InvalidOption("gains with a delay are judged at rest only; omit delay or path")
+        motion = PathMotion(robot, path, q0)
 
         def along(h: float, gains: dict[str, float]) -> "Growth":
             return motion.growth(method, h, complete(method, gains), null_damping)
@@ -344,7 +348,8 @@ def check_gains(
         judged = "stable" if found.factor < 1.0 else "unstable"
         message += f" Along the path it is {judged}: {found.words} ({found.per_step:.5g} a sample)."
         if rescued or (judged == "unstable" and verdict == "stable"):
-            low, verdict = (1.0 / longest, verdict) if rescued else (1.0 / h, judged)
+            low = 1.0 / longest if rescued else 1.0 / h
+            verdict = judged if judged == "unstable" else verdict
             most = max(min(10.0 * low, 2000 / path.duration), 2.0 * low)
             bands = stable_bands(lambda rate: along(1.0 / rate, gains).factor, low, most)[2]
             longest = 1.0 / bands[-1][0] if bands and bands[-1][1] == most else 0.0

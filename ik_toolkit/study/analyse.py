@@ -22,13 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, whole
+from ..errors import InvalidConfiguration, InvalidOption, floats, whole
 from ..kernel.counted_error import POSE, POSITION
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
 from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.protocol import Asked
 from ..solvers.rules.state_space import HEAD, StateSpace
+from ..validate import switch
 
 # Iterations of the run that predicts outcomes. It does not overshoot; with the published gains, the error in the slowest direction
 # falls by a twentieth in each iteration.
@@ -123,8 +124,9 @@ class LoopAnalysis:
     def predict(self, targets: Any, q0: Any = None, tolerance: float = 1e-3) -> np.ndarray:
         """Return whether the solver is expected to reach each target, from its static gains S and the joint limits alone.
 
-        The iteration q += S e, which has no state, is run. Targets that it misses are not reached by any configuration q0 + S w
-        within the limits. If the solver reaches such a target, its state has overshot into a limit, which shifts q0.
+        The iteration q += S e, which has no state, is run with the limits. It foretells a run, not whether a solution q0 + S w
+        exists: a limit on the way may turn it aside. Where the solver reaches a target that the iteration misses, or the other
+        way round, its state has overshot into a limit.
 
         Args:
             targets: As for `solve_batch`, N of them.
@@ -197,10 +199,11 @@ def analyse(
             "the other solvers have no linear loop (for ik.PID see study.analyse.gain_margins)"
         )
     given = next((part for part in (rule.B, rule.D) if part is not None), None)
-    positions = (given is not None and np.shape(given)[-1] == 3) if position_only is None else position_only
+    positions = given is not None and np.shape(given)[-1] == 3
+    if position_only is not None:
+        positions = switch(position_only, "position_only")
     count = whole(count, "count", 1)
-    Q = robot.random_q(np.random.default_rng(seed), count) if q is None else np.atleast_2d(np.asarray(q, dtype=float))
-    Q = np.array([robot.check_q(one, "q") for one in Q])
+    Q = robot.random_q(np.random.default_rng(whole(seed, "seed", 0)), count) if q is None else _configurations(robot, q)
     made = matrices(robot, rule, positions)
     J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if positions else 6]
     chosen = made.nearest(robot, Q)
@@ -217,6 +220,12 @@ def analyse(
     )  # fmt: skip
 
 
+def _configurations(robot: Robot, q: Any) -> np.ndarray:
+    """Return one configuration or several as an array (N, n) [rad or m]. Raises InvalidConfiguration."""
+    rows = floats(q, "q must be numbers", InvalidConfiguration)
+    return np.array([robot.check_q(one, "q") for one in np.atleast_2d(rows)]).reshape(-1, robot.n)
+
+
 def gain_margins(robot: Robot, q: Any) -> np.ndarray:
     """Return the gain margin of IK-PID for positions at each of N configurations q (N, n) [rad per m, or 1 for slides].
 
@@ -225,10 +234,13 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
 
     Returns:
         (N,) largest K_p for which some joint lowers a small error whatever its direction; 0 where three joints do not span space.
+
+    Raises:
+        InvalidConfiguration: q does not fit the robot.
     """
     require_one_tip(robot, "the gain margin")
     found = []
-    for J in robot.chain.forward(np.atleast_2d(q), jacobian=True)[1][:, :3]:
+    for J in robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]:
         size = np.linalg.norm(J, axis=0)
         facets = (2.0 * J / np.maximum(size, 1e-300) ** 2).T[size > FLAT * size.max()]
         far = 0.0

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, floats
+from ..errors import InvalidConfiguration, InvalidOption, floats, whole
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import POINTS
 from ..robot.robot import Robot
@@ -62,10 +62,12 @@ class NewtonCertificate:
         target: The target as given.
         q0: (..., n) the starts [rad or m].
         limits: Whether the solver keeps the joint limits.
-        beta: (..., 2) norms of the position [1/m] and rotation columns of F'(q0)^-1; 0 where it is singular.
+        beta: (..., 2) norms of the position [1/m] and rotation columns of F'(q0)^-1; 0 where nothing is claimed.
         lipschitz: (..., 2) Lipschitz constants of F' for position [m] and rotation.
-        eta: Length of the first step; 0 at a singular start.
-        h: beta L eta, infinite where F'(q0) is singular; at most 1/2 where Newton's whole steps converge, joint limits apart.
+        eta: Length of the first step; 0 where nothing is claimed.
+        h: beta L eta; at most 1/2 where Newton's whole steps converge, joint limits apart. Infinite where nothing is claimed:
+            F'(q0) is singular or badly conditioned, the target lies beside the arm's plane or is nearly half a turn away, or q0
+            is huge.
         radius: r, the distance from q0 within which the iterates and their solution are; infinite where h > 1/2.
         unique_radius: R: no other solution is nearer to q0 than this; 0 where h > 1/2.
         inside: Whether all configurations within r are inside the joint limits, so that the solver never clips a step.
@@ -98,8 +100,8 @@ class NewtonCertificate:
 
         It is 2 eta (2h)^(2^k - 1) / 2^k after k steps (Ortega and Rheinboldt, 1970): quadratic convergence for h < 1/2.
         """
-        h = np.where(self.proven, self.h, 0.0)
-        return np.where(self.proven, 2.0 * self.eta * (2.0 * h) ** (2.0**steps - 1.0) / 2.0**steps, np.inf)
+        h, k = np.where(self.proven, self.h, 0.0), min(whole(steps, "steps", 0), 60)
+        return np.where(self.proven, 2.0 * self.eta * (2.0 * h) ** (2.0**k - 1.0) / 2.0**k, np.inf)
 
     def leads_to(self, solutions: Any) -> np.ndarray:
         """Return the index of the solution to which Newton leads from each start.
@@ -108,16 +110,20 @@ class NewtonCertificate:
             solutions: `Solutions` of the target, or an array (K, n) [rad or m].
 
         Returns:
-            (...) integers; -1 where nothing is proven, or where the list lacks the solution.
+            (...) integers; -1 where nothing is proven, or where the list lacks the solution. A solution that is whole turns away
+            counts as the same; of several, the nearest is taken.
         """
-        Q = np.atleast_2d(getattr(solutions, "q", solutions))
-        if not len(Q):
+        Q = floats(getattr(solutions, "q", solutions), "solutions must be numbers", InvalidConfiguration)
+        if not Q.size:
             return np.full(self.h.shape, -1)
-        apart = Q - self.q0[..., None, :]
+        if Q.shape[-1] != self.robot.n:
+            raise InvalidConfiguration(f"solutions must be (K, {self.robot.n}), not an array of shape {Q.shape}")
+        apart = np.atleast_2d(Q) - self.q0[..., None, :]
         turns = self.robot.chain.rows[:, 9] > 0.0
-        apart = self.norm(apart - 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)) * turns)
-        found = apart.min(axis=-1) <= self.radius + ALLOW.listed
-        return np.where(self.proven & found, apart.argmin(axis=-1), -1)
+        modulo = self.norm(apart - 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)) * turns)
+        near = modulo <= self.radius[..., None] + ALLOW.listed
+        index = np.where(near, self.norm(apart), np.inf).argmin(axis=-1)
+        return np.where(self.proven & near.any(axis=-1), index, -1)
 
     def __str__(self) -> str:
         """Return what is proven in one sentence, or for several starts in a count."""
@@ -130,7 +136,7 @@ class NewtonCertificate:
             )
         if self.h <= 0.5:
             return f"Not proven: within r = {self.radius:.3g} of q0 a step may meet a joint limit (h = {self.h:.3g})"
-        why = f"h = {self.h:.3g} is above 1/2" if self.h < np.inf else "no bound holds here"
+        why = f"h = {self.h:.3g} is above 1/2" if self.h < np.inf else "nothing can be claimed here (see h)"
         return f"Not proven: {why}; Newton may converge all the same"
 
 
@@ -166,6 +172,8 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     q0 = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if q0.shape[-1:] != (robot.n,) or not np.isfinite(q0).all():
         raise InvalidConfiguration(f"q0 must be finite numbers (..., {robot.n}), not an array of shape {q0.shape}")
+    if not q0.size:
+        raise InvalidConfiguration("q0 is empty; give at least one start")
     Q, T = q0.reshape(-1, robot.n), T[0]
     to_norm, turning = _link_turns(robot.chain.rows)
     A, e, angle, known = _linearised(robot, asked, T, Q, to_norm)

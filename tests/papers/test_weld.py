@@ -235,7 +235,7 @@ def test_a_seam_that_is_not_reached_says_which_pose(arm):
         inspect_weld(arm, [])
     with pytest.raises(InvalidOption, match="margin"):
         inspect_weld(arm, Canister().seam(0.0, [0.2, 0.3], turn=0.3), margin=-0.01)
-    with pytest.raises(InvalidOption, match="no branch reaches all poses"):
+    with pytest.raises(InvalidOption, match="no branch has lifts at every pose that keep 1 m"):
         inspect_weld(arm, Canister().seam(0.0, [0.2, 0.3], turn=0.3), margin=1.0)
 
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import robots
 from folders import read_data
 from references import Q0, panda_reference
 
@@ -171,3 +172,16 @@ def test_errors_between_samples_end_with_those_at_the_samples():
     between = run.between(case.system, lambda t: case.path(t)[0], np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose(between[:, 0], np.linalg.norm(run.error[:-1], axis=1), atol=1e-12)
     np.testing.assert_allclose(between[:, 2], np.linalg.norm(run.error[1:], axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("name, radius", [("planar_3r", 0.3), ("so100", 0.03)])
+@pytest.mark.parametrize("method", ["cv", "ca", "aad"])
+def test_few_joints_that_are_enough_for_a_position(name, radius, method):
+    """An arm of fewer than six joints may be redundant for a position: J'J is then singular, and JJ' is used."""
+    arm = robots.load(name)
+    q = np.array([0.5, -0.8, -0.5]) if name == "planar_3r" else arm.home
+    path = ik.circle(start=arm.fk(q).translation, radius=radius, duration=5.0)
+    plain = ik.track(arm, path, method, q0=q, dt=0.02, damping=0.0, limits=False)
+    assert plain.success
+    damped = ik.track(arm, path, method, q0=q, dt=0.02, limits=False)  # The default damps near singular poses alone.
+    assert damped.position_error.max() < 2.0 * plain.position_error.max() + 1e-9

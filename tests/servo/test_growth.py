@@ -218,3 +218,31 @@ def test_the_product_foretells_which_runs_stay():
     assert all(one.method in ("ca", "aad") and one.joints > one.errors for one in wrong)
     assert len(wrong) <= 0.03 * len(made) and sum(one.verdict == "agree" for one in made) > 0.85 * len(made)
     assert min(sum((one.foretold > 1.0) == grows for one in made) for grows in (True, False)) > 50
+
+
+def test_an_open_path_is_judged_alike_in_every_unit_of_time():
+    arm = robots.load("planar_2r")
+    seen = []
+    for duration in (0.1, 1.0, 100.0):
+        h = duration / 12.0
+        path = ik.line((1.4, 0.2, 0.0), (1.2, 0.9, 0.0), duration=duration)
+        cv = ik.check_gains("cv", h, kappa=0.9 / h, robot=arm, path=path).along
+        ca = ik.check_gains("ca", h, kp=1.6 / h**2, kd=0.8 / h, robot=arm, path=path).along
+        seen.append((cv.factor, ca.factor))
+    assert np.allclose(seen, seen[0], rtol=1e-9) and seen[0] == pytest.approx((0.1353859, 0.00777213), rel=1e-5)
+
+
+def test_the_posture_near_q0_is_judged_and_the_verdict_includes_the_path():
+    arm, q0 = robots.load("ur5"), np.array([0.1, -0.86, 1.17, 2.23, 1.2, -2.84])
+    path = ik.circle(start=arm.fk(q0).homogeneous, radius=0.2, duration=2.0)
+    home, there = (
+        ik.check_gains("cv", 1 / 13, kappa=12.0, robot=arm, path=path, **given) for given in ({}, {"q0": q0})
+    )
+    assert home.along.factor < 0.2 and home.verdict == "stable"
+    assert there.along.factor > 1.5 and there.verdict == "unstable"
+    far = ik.circle((1.35, 0.6, 0.0), radius=0.6, duration=4.0)
+    assert ik.check_gains("cv", 0.2, kappa=5.0, robot=robots.load("planar_2r"), path=far).verdict == "unstable"
+    for words, change in (("at rest only", {"delay": 2}), ("null_damping", {"null_damping": -1.0}), ("samples", {})):
+        kappa = 20000.0 if not change else 4.0
+        with pytest.raises(InvalidOption, match=words):
+            ik.check_gains("cv", 1.0 / kappa / 4, kappa=kappa, robot=robots.load("planar_2r"), path=far, **change)

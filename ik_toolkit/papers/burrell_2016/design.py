@@ -4,7 +4,8 @@ Burrell et al. (2016) did not publish the gains that their swarm found.
 
 Theory for A = a I and C = c I, as in the published matrices: near a solution an error e falls fast if J S e is close to a multiple
 of e, with the static gain S = C (I - A)^-1 B. So B is designed at a configuration with the Jacobian J, from J S = g I with the
-least moves of the joints: S = g J^+, B = (I - A) C^-1 S. It remains to choose g and the configuration.
+least moves of the joints: S = g J^+, B = (I - A) C^-1 S. There the loop has the poles of z^2 - (1 + a) z + a + (1 - a) g, and
+the error falls fastest where they are equal: g = (1 - a) / 4. It remains to choose the configuration.
 
 For IK-PID the gain margin (study/analyse.py) is the largest K_p with which some joint lowers a small error, whatever its direction.
 """
@@ -30,11 +31,7 @@ from .published import PAPER_OPTIONS, TO_PAPER
 
 GENERATIONS, PARTICLES, GOALS = 25, 40, 300
 SEARCH_STEPS = 400  # highest number of iterations while searching; the result of the paper needs about 350
-LOOP = 0.4  # g of J S = g I at the configuration of a design; elsewhere J S may be larger, and must stay below 1
-WEAKEST, SAFETY = (
-    1.0,
-    0.5,
-)  # K_p is this share of the gain margin that all but so many percent of the configurations have
+WEAKEST, SAFETY = 1.0, 0.5  # K_p is SAFETY of the gain margin that all but WEAKEST percent of the configurations have
 CONFIGURATIONS = 3000  # number of random configurations whose gain margins are computed
 
 
@@ -59,8 +56,8 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
     report.number("design_scores", {name: one.to_dict() for (name, _, _), one in found.items()})
     report.text(
         f"""An evaluation is a run of {GOALS} training goals; the counts are of {len(sets)} other sets of 1000. **Theory**, A
-        and C as published: B from J S = {LOOP:g} I at one configuration, with the static gain S = C (I - A)^-1 B (of 0.2, 0.4
-        and 0.6 the training goals prefer {LOOP:g}); 'best of' keeps the configuration that solves the most training goals.
+        and C as published: B from J S = g I at one configuration, with the static gain S = C (I - A)^-1 B and g = (1 - a) / 4,
+        which makes both poles of the loop there equal; 'best of' keeps the configuration that solves the most training goals.
         **Swarm**: {PARTICLES} particles, {GENERATIONS} generations, inertia 0.729, both accelerations 1.494 (Clerc and Kennedy
         2002); CMA-ES (Hansen 2016) has the same population and budget; both start at the published matrices. Neither the
         paper's settings nor its start configuration are known, so no run can be expected to give 993. **IK-PID**: {SAFETY:g} of
@@ -74,9 +71,10 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
 
 
 def theory(robot: Robot, published: StateSpace, q: np.ndarray) -> StateSpace:
-    """Return the published solver with B designed at a configuration q (n,): J S = LOOP I with the least moves of the joints."""
+    """Return the published solver with B designed at a configuration q (n,): equal poles, least moves of the joints."""
     A, C = np.asarray(published.A), np.radians(np.asarray(published.C))
-    S = LOOP * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])  # [rad/m], in the axes of the base
+    g = (1.0 - A[0, 0]) / 4.0
+    S = g * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])  # [rad/m], in the axes of the base
     return published._replace(B=np.linalg.solve(C, (np.eye(len(A)) - A) @ S @ TO_PAPER.T) / 1000.0)
 
 

@@ -18,13 +18,16 @@ from ...paths.solve_path import TOLERANCE
 from ...robot.geometry.collision import CollisionModel
 from ...robot.pose import check_target
 from ...robot.robot import Robot
+from ...robot.tree import require_one_tip
 from ...solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windows
 from ...solvers.solve import Solver
 from ...study.reachability import reachability
 from ...style import COLOURS
-from ...validate import number, positive
+from ...text import length
+from ...validate import not_negative, number, positive
 from ..report import Report
 
+TURN = 2.0 * np.pi + 1e-9  # largest angle [rad] that is not taken for degrees
 MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
 SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
     "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
@@ -35,11 +38,21 @@ SPEED = 0.02  # speed of the tip along the seam [m/s]
 
 @dataclass(frozen=True)
 class Canister:
-    """A cylinder that stands upright: radius and height [m], and the middle of its bottom (3,), base frame [m]."""
+    """A cylinder that stands upright: radius and height [m], and the middle of its bottom (3,), base frame [m].
+
+    Raises InvalidOption if a number is out of range.
+    """
 
     radius: float = 0.12
     height: float = 0.7
     foot: tuple[float, float, float] = (0.55, 0.0, 0.35)
+
+    def __post_init__(self) -> None:
+        """Check the numbers. Raises InvalidOption."""
+        positive(self.radius, "radius [m]"), positive(self.height, "height [m]")
+        foot = floats(self.foot, "foot must be three numbers [m]", InvalidOption)
+        if foot.shape != (3,) or not np.isfinite(foot).all():
+            raise InvalidOption(f"foot must be three finite numbers [m], not {self.foot!r:.60}")
 
     def seam(self, angles: Any, heights: Any, standoff: float = 0.05, turn: float = 0.0) -> np.ndarray:
         """Return poses (N, 4, 4) of a tool whose x axis looks at the surface at right angles, from a stand-off.
@@ -60,16 +73,18 @@ class Canister:
         )
         if {a.shape, h.shape} - {(1,), (max(a.size, h.size),)} or not np.isfinite(a).all():
             raise InvalidOption("angles and heights must be finite, each a number or (N,)")
+        if max(np.abs(a).max(), abs(number(turn, "turn [rad]"))) > TURN:
+            raise InvalidOption("angles and turn are within a turn [rad]; convert degrees by np.radians")
         if not ((h >= 0.0) & (h <= self.height)).all():
             raise InvalidOption(f"heights must be between 0 and {self.height:g} m, on the canister")
-        (a, h), turn = np.broadcast_arrays(a, h), number(turn, "turn [rad]")
+        a, h = np.broadcast_arrays(a, h)
         a = a + math.atan2(-self.foot[1], -self.foot[0])
         n, up = np.column_stack([np.cos(a), np.sin(a), 0.0 * a]), np.array([0.0, 0.0, 1.0])
         T = np.tile(np.eye(4), (len(a), 1, 1))
         T[:, :3, 0] = -n
         T[:, :3, 1] = math.cos(turn) * up + math.sin(turn) * np.cross(-n, up)
         T[:, :3, 2] = np.cross(T[:, :3, 0], T[:, :3, 1])
-        away = positive(self.radius, "radius [m]") + positive(standoff, "standoff [m]")
+        away = self.radius + positive(standoff, "standoff [m]")
         T[:, :3, 3] = np.array(self.foot) + away * n + h[:, None] * up
         return T
 
@@ -82,6 +97,10 @@ class WeldPlan:
     branch: int
     lifts: np.ndarray
     path: PathResult
+
+    def __repr__(self) -> str:
+        """Return the outcome in a sentence."""
+        return f"WeldPlan: {self.path.message}; branch {self.branch}, the lift travels {length(self.travel)}"
 
     @property
     def travel(self) -> float:
@@ -106,7 +125,8 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
     """Plan the inspection of a seam with the least travel of the lift (`least_travel`), and certify the motion between its poses.
 
     Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
-    is taken. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out.
+    is taken. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out. Its
+    deviation is that from the straight motion between two poses: a girth weld of few poses has its corners cut off.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -115,13 +135,16 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
         margin: Distance [m] that lifts keep from the ends of their windows.
 
     Raises:
-        InvalidOption: No branch has a window at every pose, and the message says which is not reached; or the margin is negative.
+        InvalidOption: No branch joins the windows of all poses, and the message says where; or an argument is wrong.
+        UnknownSolver, InvalidTarget: As `lift_windows`.
     """
+    require_one_tip(robot, "inspect_weld")
+    if not isinstance(canister, Canister | None):
+        raise InvalidOption(f"canister must be a Canister, such as Canister(radius=0.12), not {canister!r:.60}")
     poses = np.array([check_target(T, robot.base)[0] for T in poses])
     if len(poses) < 2:
         raise InvalidOption(f"a seam needs at least two poses, not {len(poses)}")
-    if not number(margin, "margin [m]") >= 0.0:
-        raise InvalidOption(f"margin must not be negative, not {margin:g} m")
+    margin = not_negative(margin, "margin [m]")
     windows, model = lift_windows(robot, poses), None
     if canister is not None:
         middle = np.add(canister.foot, (0.0, 0.0, 0.5 * canister.height))
@@ -131,8 +154,12 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
         q = np.array([at_lifts(robot, T, d)[0][branch, 0] for T, d in zip(poses, lifts, strict=True)])
         made.append(WeldPlan(windows, branch, lifts, certified(robot, poses, q, model)))
     if not made:
-        lost = [f"pose {k} is not reached inside the limits" for k, found in enumerate(windows) if not found]
-        raise InvalidOption(f"this seam has no plan: {[*lost, 'no branch reaches all poses; change the turn'][0]}")
+        why = [f"pose {k} is not reached inside the limits" for k, found in enumerate(windows) if not found]
+        why += [
+            f"no branch has lifts at every pose that keep {margin:g} m from the ends of their windows, with windows of neighbours "
+            "that overlap; try another turn, more poses or a smaller margin"
+        ]
+        raise InvalidOption(f"this seam has no plan: {why[0]}")
     return min(made, key=lambda one: (not one.path.success, round(one.travel, 9), one.path.length))
 
 

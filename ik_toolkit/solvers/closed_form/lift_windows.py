@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ...compile.jit import cached
-from ...errors import InvalidOption, InvalidTarget
+from ...errors import InvalidOption, InvalidTarget, floats
 from ...kernel.records import copy
 from ...robot.pose import check_target
 from .inspection import Inspection, feasible_lifts
@@ -58,7 +58,10 @@ def at_lifts(robot: Any, T: Any, lifts: Any) -> tuple[np.ndarray, np.ndarray]:
     A lift that does not reach the pose gets the branches of the nearest position that it reaches. Raises as `lift_windows` does.
     """
     p, box = _bind(robot)
-    return _rows(p, check_target(T, robot.base)[0], box, p[LIFT + 1] * np.atleast_1d(lifts))
+    d = np.atleast_1d(floats(lifts, "lifts must be numbers [m]", InvalidOption))
+    if d.ndim != 1 or not np.isfinite(d).all():
+        raise InvalidOption(f"lifts must be finite numbers (K,) [m], not {lifts!r:.60}")
+    return _rows(p, _pose(robot, T), box, p[LIFT + 1] * d)
 
 
 def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
@@ -82,16 +85,22 @@ def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
     p, box = _bind(robot)
     sign, place = float(p[LIFT + 1]), int(p[LIFT])
     made: list[list[LiftWindow]] = []
+    if getattr(poses, "shape", (0, 4, 4)) == (4, 4):
+        raise InvalidTarget("poses is a single pose (4, 4); give a list of poses, as [T]")
     for target in poses:
-        T = check_target(target, robot.base)[0]
-        if T.shape != (4, 4):
-            raise InvalidTarget(
-                "a position leaves the orientation open, but the intervals of the lift are those of a pose"
-            )
+        T = _pose(robot, target)
         spans = feasible_lifts(p, T, robot.lower[place], robot.upper[place])
         found = [one for span in spans for one in _windows(p, T, box, *sorted(sign * x for x in span))]
         made.append(sorted(LiftWindow(k, *sorted((sign * a + 0.0, sign * b + 0.0))) for k, a, b in found))
     return made
+
+
+def _pose(robot: Any, target: Any) -> np.ndarray:
+    """Return a target as a pose (4, 4). Raises InvalidTarget, also for a position."""
+    T = check_target(target, robot.base)[0]
+    if T.shape != (4, 4):
+        raise InvalidTarget("a position leaves the orientation open, but the intervals of the lift are those of a pose")
+    return T
 
 
 def _bind(robot: Any) -> tuple[np.ndarray, np.ndarray]:
