@@ -222,7 +222,7 @@ def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple
     if fastest < KEPT * asked:
         return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
     ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
-    return tuple(found), f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if found else "")
+    return tuple(found), f"; the tip keeps {asked:.4g} m/s" + (f" except from pose {_listed(ranges)}" if found else "")
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:

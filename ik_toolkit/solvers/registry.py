@@ -326,7 +326,8 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
             hint = near_match(key, fields) if fields else " It has no parameters."
             raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}{solvers_with(key)}")
         if isinstance(value, str) and not isinstance(cls._field_defaults.get(key), str):
-            raise InvalidOption(f"parameter '{key}' of solver '{row.name}' takes a number or an array, not '{value}'")
+            wanted = "true or false" if isinstance(cls._field_defaults.get(key), bool) else "a number or an array"
+            raise InvalidOption(f"parameter '{key}' of solver '{row.name}' takes {wanted}, not '{value}'")
         if isinstance(value, float) and value != value:
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' must be a number, not NaN")
     return cls(**parameters)

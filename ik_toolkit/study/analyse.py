@@ -98,7 +98,8 @@ class LoopAnalysis:
         position_only: Whether targets are positions.
         q: (N, n) configurations [rad or m].
         spectral_radius: (N,) factor by which the slowest part of an error changes in each step, near a solution.
-        loop_gain: (N, r) complex eigenvalues of J S (1 - a) for A = a I, which is J C B + (1 - a) J D; of J S for any other A.
+        loop_gain: (N, r) complex eigenvalues, one for each independent error that joints can change, of J S (1 - a) for A = a I,
+            which is J C B + (1 - a) J D; of J S for any other A.
         gain_bound: Without D and with A = a I, a real loop gain must be between 0 and this, 1 - a (Jury's test); else None.
     """
 
@@ -205,15 +206,19 @@ def analyse(
     count = whole(count, "count", 1)
     Q = robot.random_q(np.random.default_rng(whole(seed, "seed", 0)), count) if q is None else _configurations(robot, q)
     made = matrices(robot, rule, positions)
-    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if positions else 6]
+    rows = 3 if positions else 6
+    # Errors that no joint can change, as those out of a planar arm's plane, are left out: a reachable target has none.
+    unit = np.array([robot.chain.scale] * 3 + [1.0] * 3)[:rows, None]
+    span = Asked(robot, (POSITION if positions else POSE,)).span[:rows]
+    J = (span / unit).T @ robot.chain.forward(Q, jacobian=True)[1][:, :rows]
     chosen = made.nearest(robot, Q)
     r, m, a = J.shape[1], len(made.A), float(made.A[0, 0]) if len(made.A) else 0.0
-    B, D = made.B[chosen], made.D[chosen]
+    B, D, static = (part @ (unit * span) for part in (made.B[chosen], made.D[chosen], made.static_maps()[chosen]))
     loop = np.zeros((len(Q), r + m, r + m))
     loop[:, :r, :r], loop[:, :r, r:] = np.eye(r) - J @ D, -J @ made.C
     loop[:, r:, :r], loop[:, r:, r:] = B, made.A
     alike = bool(m) and np.array_equal(made.A, a * np.eye(m))
-    gain = J @ made.static_maps()[chosen] * (1.0 - a if alike else 1.0)
+    gain = J @ static * (1.0 - a if alike else 1.0)
     return LoopAnalysis(
         robot, made, positions, Q, np.abs(np.linalg.eigvals(loop)).max(axis=1),
         np.linalg.eigvals(gain).astype(complex), 1.0 - a if alike and not made.D.any() else None,
@@ -233,24 +238,28 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
     of the polytope |a_i . x| <= 1.
 
     Returns:
-        (N,) largest K_p for which some joint lowers a small error whatever its direction; 0 where three joints do not span space.
+        (N,) largest K_p for which some joint lowers a small error whatever its direction, of those in which the arm can move at
+        all; 0 where the joints do not span these.
 
     Raises:
         InvalidConfiguration: q does not fit the robot.
     """
     require_one_tip(robot, "the gain margin")
     found = []
-    for J in robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]:
+    span = Asked(robot, (POSITION,)).span[:3]
+    r = span.shape[1]
+    signs = np.array(list(product((1.0,), *[(1.0, -1.0)] * (r - 1)))).T
+    for J in span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]:
         size = np.linalg.norm(J, axis=0)
         facets = (2.0 * J / np.maximum(size, 1e-300) ** 2).T[size > FLAT * size.max()]
         far = 0.0
         spans = False
-        for three in combinations(range(len(facets)), 3):
-            rows = facets[list(three)]
+        for some in combinations(range(len(facets)), r):
+            rows = facets[list(some)]
             if abs(np.linalg.det(rows)) <= FLAT * np.prod(np.linalg.norm(rows, axis=1)):
                 continue
             spans = True
-            corners = np.linalg.solve(rows, np.array(list(product((1.0,), (1.0, -1.0), (1.0, -1.0)))).T)
+            corners = np.linalg.solve(rows, signs)
             inside = (np.abs(facets @ corners) <= 1.0 + ROUND).all(axis=0)
             far = max(far, float((np.linalg.norm(corners, axis=0) * inside).max()))
         found.append(1.0 / far if spans else 0.0)

@@ -82,7 +82,7 @@ def reachability(
     """Answer, for every cell of a region, whether the tip reaches it inside the limits.
 
     A yes comes with a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
-    found a configuration. The audit tries a sample of these unproven noes again, and estimates how often they are wrong.
+    found a configuration. The audit tries a sample of these unproven answers again, and estimates how often they are wrong.
 
     Args:
         robot: The Robot.
@@ -91,7 +91,7 @@ def reachability(
         resolution: Width of a cell [m], by default a fortieth of the longest side. A cell is answered at its centre.
         orientations: 'any' leaves the orientation free; a number K asks for K directions of the tool axis (the tip's z, or
             `free_turn`), spread evenly, about which the tip may turn; rotations (K, 3, 3) or poses (K, 4, 4) are asked for exactly.
-        audit: How many of the unproven noes are tried again with 1,000 attempts; 'full' for all.
+        audit: How many of the unproven answers are tried again with 1,000 attempts; 'full' for all.
         threads: As for `solve_batch`.
         executor: As for `solve_batch`.
         check: Share of the yeses that Pinocchio verifies; all yeses to positions and poses are checked by forward kinematics.
@@ -264,7 +264,7 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Solve unproven noes from the configurations of reached neighbours, until that finds no more solutions.
+        """Try answers that were not found from the configurations of reached neighbours, until that finds no more solutions.
 
         tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """

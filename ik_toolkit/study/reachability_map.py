@@ -39,7 +39,7 @@ ANSWERS = {
 
 
 class Audit(NamedTuple):
-    """Check of the unproven noes: a random sample of them is tried again with many more attempts."""
+    """Check of the answers that were neither found nor proven: a random sample of them is tried again with many more attempts."""
 
     unproven: int = 0  # number of noes without proof before the audit
     tried: int = 0  # how many of them were tried again
@@ -56,11 +56,11 @@ class Audit(NamedTuple):
         if not self.unproven:
             return "every no is proven"
         if not self.tried:
-            return f"{self.unproven:,} noes are not proven, and none was tried again"
+            return f"{self.unproven:,} answers were not found and not proven, and none was tried again"
         low, high = (figure(100.0 * x, 2) for x in self.interval)
         which = "all" if self.tried == self.unproven else f"{self.tried:,} of"
-        again = f"{which} {self.unproven:,} unproven noes were tried again with {self.attempts:,} attempts"
-        return f"{again}: {self.found:,} were false ({low} to {high} % of them, 95 %)"
+        again = f"{which} {self.unproven:,} answers not found were tried again with {self.attempts:,} attempts"
+        return f"{again}: {self.found:,} were reached after all ({low} to {high} %, 95 %)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,7 +81,7 @@ class ReachabilityMap:
             values of the Jacobian (of its linear rows if orientation is free), without those that are always 0.
         margin: Largest of the reached answers (cells,): distance of q to its nearest limit over half the range, 0 to 1.
         q: The configuration (cells, n) [rad or m] of the largest manipulability, NaN where nothing is reached.
-        audit: How many of the unproven noes are wrong.
+        audit: How many of the answers that were neither found nor proven are wrong.
         options: Options of the solver, as text.
     """
 

@@ -1,12 +1,15 @@
 """The linear analysis of the state-space solver and of IK-PID, against runs of the solvers themselves."""
 
+import importlib
+
 import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from folders import ROOT
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.study.analyse import analyse, gain_margins
 
 PUBLISHED = ik.StateSpace.preset("burrell-2016")
@@ -77,7 +80,7 @@ def test_the_gain_margin_is_where_some_step_still_lowers_every_small_error():
         u /= np.linalg.norm(u, axis=1)[:, None]
         allowed = (2.0 * np.abs(u @ J) / (J**2).sum(axis=0)).max(axis=1)
         assert margin <= allowed.min() + 1e-9 and margin >= 0.9 * allowed.min()
-    assert gain_margins(robots.load("planar_2r"), [[0.3, 0.4]]) == [0.0]
+    assert gain_margins(robots.load("planar_2r"), [[0.3, 0.0]]) == [0.0]  # straight: both joints move the tip one way
 
 
 def test_mistakes_are_named():
@@ -88,3 +91,29 @@ def test_mistakes_are_named():
         analyse(robot, count=1).off_slice(robot.home, robot.home)
     with pytest.raises(InvalidOption, match="three columns"):
         analyse(robot, PUBLISHED, position_only=False)
+
+
+def test_planar_arms_are_judged_in_their_plane():
+    """An error out of the plane, which no joint can change, is none of a target in reach."""
+    arm = robots.load("planar_3r")
+    found = analyse(arm, ik.StateSpace(), count=100, position_only=True)
+    assert found.loop_gain.shape == (100, 2) and found.stable.all() and np.isfinite(found.steps_per_decade).all()
+    margins = gain_margins(arm, found.q)
+    J = arm.chain.forward(found.q, jacobian=True)[1][:, :2]
+    u = np.stack([np.cos(np.linspace(0.0, np.pi, 40_001)), np.sin(np.linspace(0.0, np.pi, 40_001))])
+    least = np.abs((2.0 * J / (J**2).sum(axis=1, keepdims=True)).transpose(0, 2, 1) @ u)
+    assert margins == pytest.approx(least.max(axis=1).min(axis=1), rel=1e-2)
+
+
+def test_no_counterexample_in_300_random_loops_and_margins(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    tested, wrong = importlib.import_module("theory_burrell").search(300)
+    assert tested.total() == 300 and len(tested) == 6 and not wrong, "\n".join(wrong)
+
+
+def test_what_is_no_configuration_is_refused():
+    arm = robots.load("hydrolek_7w")
+    for wrong in ([0, 1], np.zeros((6, 1)), np.zeros((2, 3, 6)), "home", np.full(6, np.nan)):
+        for call in (lambda q: gain_margins(arm, q), lambda q: ik.analyse(arm, PUBLISHED, q)):
+            with pytest.raises(InvalidConfiguration):
+                call(wrong)

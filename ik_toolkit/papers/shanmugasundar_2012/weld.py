@@ -244,8 +244,8 @@ def weld(report: Report, robot: Robot, count: int) -> None:
         forces += [["of this by motion", *np.abs(torques - weight).max(axis=0)]]
     head = [
         "seam",
-        f"turns of {count} that see a pose (%)",
-        "that see all",
+        f"of {count} turns, reach a pose (%)",
+        "reach all",
         "turn taken (deg)",
         "least lift travel (mm)",
     ]
