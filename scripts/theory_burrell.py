@@ -7,13 +7,11 @@ the spectral radius is below 1 the loop takes a small error to zero, and where i
 gain margin some joint, moved one way by K_p |e|, lowers a small error e of any direction in which the arm can move.
 """
 
-import argparse
 import collections
 import itertools
-import sys
 
 import numpy as np
-from theory_newton import arm
+from theory_newton import arm, main
 
 import ik_toolkit as ik
 from ik_toolkit.study.analyse import gain_margins
@@ -74,18 +72,5 @@ def lowered(robot, goal, q, kp):
     return np.linalg.norm(goal - robot.chain.forward(q + moves)[0][:, :3, 3], axis=1).min() < e
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("count", nargs="?", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    tested, wrong = search(asked.count, asked.seed)
-    for name, times in tested.items():
-        print(f"{times:6} {name}")
-    print(f"{tested.total()} loops and gain margins, {len(wrong)} counterexamples")
-    print("\n".join(wrong[:20]))
-    sys.exit(bool(wrong))
-
-
 if __name__ == "__main__":
-    main()
+    main(search, __doc__, "loops and gain margins")

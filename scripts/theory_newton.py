@@ -124,18 +124,19 @@ def search(count, seed=0, progress=lambda done: None):
         progress(tested.total())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(search, doc, what) -> None:
+    """Run a search as a command: search(count, seed) as here, the docstring of its script, and what it counts."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("count", nargs="?", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     tested, wrong = search(asked.count, asked.seed)
     for name, times in tested.items():
         print(f"{times:6} {name}")
-    print(f"{tested.total()} starts with a certificate, {len(wrong)} counterexamples")
+    print(f"{tested.total()} {what}, {len(wrong)} counterexamples")
     print("\n".join(wrong[:20]))
     sys.exit(bool(wrong))
 
 
 if __name__ == "__main__":
-    main()
+    main(search, __doc__, "starts with a certificate")

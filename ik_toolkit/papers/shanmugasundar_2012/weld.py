@@ -49,7 +49,8 @@ class Canister:
 
     def __post_init__(self) -> None:
         """Check the numbers. Raises InvalidOption."""
-        positive(self.radius, "radius [m]"), positive(self.height, "height [m]")
+        positive(self.radius, "radius [m]")
+        positive(self.height, "height [m]")
         foot = floats(self.foot, "foot must be three numbers [m]", InvalidOption)
         if foot.shape != (3,) or not np.isfinite(foot).all():
             raise InvalidOption(f"foot must be three finite numbers [m], not {self.foot!r:.60}")

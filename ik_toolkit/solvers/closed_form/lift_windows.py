@@ -23,9 +23,8 @@ from .reach import inspection_branch, inspection_nearest
 
 DEGREE = 12  # highest degree of a polynomial in the lift
 ROUNDED = 1e-13  # Leading Chebyshev coefficients below this share of the largest are rounding.
-DOUBLE = (
-    1e-3  # Roots count as real up to this imaginary part (of half the interval), because rounding splits double roots.
-)
+# Roots count as real up to this imaginary part (of half the interval), because rounding splits double roots.
+DOUBLE = 1e-3
 HALVINGS = 52  # number of bisections, after which an end is exact to rounding
 JUMP, GAP = 0.1, 1e-6  # A branch that moves by 0.1 rad over 2e-6 of an interval jumps: axes 1 and 4 are parallel there.
 
