@@ -58,6 +58,7 @@ _NAMES = {
     "tune": "study.tune",
     "workspace": "study.workspace",
     "analyse": "study.analyse",
+    "gain_margins": "study.analyse",
     "newton_certificate": "study.newton_certificate",
     "calibrate": "study.calibrate",
     "Calibration": "study.calibration",

@@ -52,6 +52,7 @@ from .solvers.solve import solve as solve
 from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.analyse import analyse as analyse
+from .study.analyse import gain_margins as gain_margins
 from .study.benchmark import benchmark as benchmark
 from .study.calibrate import calibrate as calibrate
 from .study.calibration import Calibration as Calibration

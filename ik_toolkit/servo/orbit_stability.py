@@ -26,6 +26,7 @@ EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
 SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
 SAMPLES, FINE = 100, 0.03  # least number of samples of a motion; largest distance between them [arm reaches, rad]
 CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
+SMOOTH = 0.05  # share of the speed by which its start and end may differ: a spline through a sampled lap is off by less
 
 
 class Growth(NamedTuple):
@@ -149,10 +150,9 @@ class PathMotion:
         total, scale = chained(steps)
         # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
-        # The last sample may be before the path's end.
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
-        off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-        closed = bool(off < CLOSED + 2.0 * pace * h * np.abs(V).max())
+        off, bend = np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max()
+        closed = bool(off < CLOSED and bend < CLOSED + SMOOTH * np.abs(V).max())
         value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap[: self.m, : self.m], 2)
         logarithm = float(np.log(max(value, 1e-300)) + scale)
         return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)

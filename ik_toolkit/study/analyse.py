@@ -237,6 +237,10 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
     With a_i = 2 J_i / |J_i|^2 it is the least over all unit vectors u of max |a_i . u|: one over the norm of the farthest vertex
     of the polytope |a_i . x| <= 1.
 
+    Args:
+        robot: A robot with one tip.
+        q: (N, n) configurations, or one (n,) [rad or m].
+
     Returns:
         (N,) largest K_p for which some joint lowers a small error whatever its direction, of those in which the arm can move at
         all; 0 where the joints do not span these.

@@ -121,6 +121,7 @@ CALLS = {
     "Shape": lambda x: ik.Shape.box(x),
     "check_gains": lambda x: ik.check_gains("cv", x),
     "least_rate": lambda x: ik.least_rate(arm(), ik.circle(center=(1.0, 0.6, 0.0)), "cv", kappa=x),
+    "least_rate, gamma": lambda x: ik.least_rate(arm(), ik.circle(center=(1.0, 0.6, 0.0)), "aad", gamma=x),
     "stability_chart, gain": lambda x: ik.stability_chart(arm(), ik.circle(center=(1.0, 0.6, 0.0)), gain=x, samples=[9]),
     "stability_chart, samples": lambda x: ik.stability_chart(arm(), ik.circle(center=(1.0, 0.6, 0.0)), gain=[0.5], samples=x),
     "best_gains": lambda x: ik.best_gains("cv", x),

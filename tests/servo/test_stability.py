@@ -295,3 +295,11 @@ def test_a_lap_is_closed_whatever_the_rate():
     path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
     for rate in (9.0, 9.93, 10.0):
         assert st.check_gains("ca", 1.0 / rate, robot=robot, path=path, kp=61.0, kd=3.8).along.closed
+
+
+def test_most_of_a_circle_is_no_lap_whatever_the_rate():
+    """At 5 Hz the target moves by half of the gap in a sample."""
+    robot = ik.Robot.load("planar_2r")
+    path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, turns=0.9, duration=2.0)
+    for rate in (5.0, 50.0):
+        assert not st.check_gains("cv", 1.0 / rate, robot=robot, path=path, kappa=2.0).along.closed
