@@ -1,6 +1,6 @@
 """`ik.plot`: draws a chart of any result in one call, also of studies (benchmarks, tuning, workspaces)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from ..motion.trajectory import Trajectory
 from ..paths.result import PathResult
 from ..robot.joints import Joints
 from ..robot.pose import check_target
-from ..servo.path_stability import StabilityChart
+from ..servo.path_stability import LeastRate, StabilityChart
 from ..servo.result import TrackResult
 from ..solvers.batch.result import BatchResult
 from ..solvers.result import Result
@@ -37,9 +37,8 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         what: A Result with history, or a dict label -> Result, for the error after every iteration; a TrackResult, or a
             dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
             Benchmark, TuneResult, ReachabilityMap, Placements or Workspace; a Calibration for its residuals and errors; a
-            StabilityChart; a BatchResult for the share solved within so many iterations; Solutions, the first eight as lines; a
-            configuration q (n,) [rad or m] or a dict label -> q for the arm as
-            lines from the side and from above.
+            LeastRate or StabilityChart; a BatchResult for the share solved within so many iterations; Solutions, the first eight
+            as lines; a configuration q (n,) [rad or m] or a dict label -> q for the arm as lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
         target: Pose or position [m] in the base frame, drawn as a cross in a chart of configurations.
         file: File to which the chart is also written (.png, .pdf, .svg).
@@ -60,27 +59,11 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         )
         raise InvalidOption(f"a Robot or a Tree is needed as robot=, not {str(robot)!r:.60}; {meant}")
     several = tuple(what.values()) if isinstance(what, Mapping) else (what,)
-    if isinstance(what, PathResult | Trajectory):
-        figure = plot_motion(what)
-    elif isinstance(what, Benchmark):
-        figure = plot_benchmark(what)
-    elif isinstance(what, ReachabilityMap):
-        figure = plot_map(what)
-    elif isinstance(what, StabilityChart):
-        with drawing() as plt:
-            figure, axis = plt.subplots(figsize=(6.2, 4.2), layout="constrained")
-            figure.colorbar(stability_map(axis, what), label="factor of a small error in a sample")
-            axis.set_title(literal_text(f"{what.robot} along '{what.path}': {what.method}"))
-    elif isinstance(what, Placements):
-        figure = plot_places(what)
-    elif isinstance(what, TuneResult):
-        figure = plot_tuning(what)
+    alone = next((draw for kind, draw in ALONE.items() if isinstance(what, kind)), None)
+    if alone is not None:
+        figure = alone(what)
     elif isinstance(what, Workspace):
         figure = plot_workspace(what, _needed(robot, "a workspace"))
-    elif isinstance(what, BatchResult):
-        figure = plot_batch(what)
-    elif isinstance(what, Calibration):
-        figure = plot_calibration(what)
     elif isinstance(what, Solutions):
         figure = postures({f"solution {k}": q for k, q in enumerate(what.q[: len(COLOURS)])}, what.robot, target)
     elif isinstance(what, TrackResult):
@@ -89,8 +72,10 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = tracking_errors(what)
     elif several and all(isinstance(one, Result) for one in several):
         figure = convergence(what)
-    else:
+    elif all(isinstance(one, list | tuple | np.ndarray | str) for one in several):
         figure = postures(what, _needed(robot, "configurations"), target)
+    else:
+        raise InvalidOption(f"there is no chart of a {type(several[0]).__name__}; see help(ik.plot)")
     if file is not None:
         with drawing():  # this style keeps text as text in an .svg file
             save(figure, file)
@@ -181,6 +166,33 @@ def plot_batch(batch: BatchResult) -> Any:
     return figure
 
 
+def plot_least_rate(found: LeastRate) -> Any:
+    """Draw the growth of a small error over the sample rate, with the bands of stable rates."""
+    with drawing() as plt:
+        figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
+        for low, high in found.bands:
+            axis.axvspan(low, high, color=COLOURS[0], alpha=0.15, lw=0)
+        axis.loglog(found.rates, np.clip(found.growth, 1e-12, 1e12), color=COLOURS[0])
+        axis.axhline(1.0, color="black", lw=0.8)
+        for formatter in (axis.xaxis.set_major_formatter, axis.xaxis.set_minor_formatter):
+            formatter("{x:g}")
+        axis.set(xlabel="sample rate [Hz]", ylabel="factor of a small error over the path")
+        stable = f"stable from {found.rate:.4g} to {found.most:.4g} Hz"
+        axis.set_title(stable if found.rate < np.inf else f"unstable at {found.most:.4g} Hz")
+        return figure
+
+
+def plot_stability(chart: StabilityChart) -> Any:
+    """Draw a StabilityChart. Raises InvalidOption if it has only one row or column."""
+    if min(chart.per_step.shape) < 2:
+        raise InvalidOption("a chart of stability needs at least two values of gain and two of samples to be drawn")
+    with drawing() as plt:
+        figure, axis = plt.subplots(figsize=(6.2, 4.2), layout="constrained")
+        figure.colorbar(stability_map(axis, chart), label="factor of a small error in a sample")
+        axis.set_title(literal_text(f"{chart.robot} along '{chart.path}': {chart.method}"))
+    return figure
+
+
 def stability_map(axis: Any, chart: StabilityChart) -> Any:
     """Draw a StabilityChart into an axis: the stable region, darker where errors die out faster.
 
@@ -228,10 +240,6 @@ def plot_calibration(found: Calibration) -> Any:
         return figure
 
 
-LEAST_RATE = 1.0  # [%] least upper end of the colour scale of a map of failure rates
-MARKED = 200  # largest number of failures that are marked individually
-
-
 def plot_tuning(result: TuneResult) -> Any:
     """Draw the cost over generations, with the held-out result in the title."""
     with drawing() as plt:
@@ -262,7 +270,8 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
     with drawing() as plt:
         rows = len(found.outcomes)
         figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
-        image, worst, drawn = None, LEAST_RATE, []
+        image, drawn = None, []
+        worst = 1.0  # [%] the least upper end of the colour scale
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
             for axis, across, keep in ((row[0], 2, (0, 1)), (row[1], 1, (0, 2))):
                 targets, solved = found.map[name].sum(axis=1 + across)
@@ -276,7 +285,8 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
                 axis.grid(False)
                 for arm in arms:
                     axis.plot(*arm[:, keep].T, color=COLOURS[6], lw=2.2, marker="o", ms=3.5)
-                bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
+                few = outcome.targets - outcome.solved <= 200
+                bad = found.failures[name] if few else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
             row[0].set_title(f"{literal_text(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
@@ -295,3 +305,17 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
             pad=0.02,
         )
         return figure
+
+
+ALONE: dict[type, Callable[[Any], Any]] = {  # what needs nothing else to be drawn
+    PathResult: plot_motion,
+    Trajectory: plot_motion,
+    Benchmark: plot_benchmark,
+    ReachabilityMap: plot_map,
+    LeastRate: plot_least_rate,
+    StabilityChart: plot_stability,
+    Placements: plot_places,
+    TuneResult: plot_tuning,
+    BatchResult: plot_batch,
+    Calibration: plot_calibration,
+}

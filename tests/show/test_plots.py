@@ -202,3 +202,16 @@ def test_plot_takes_what_the_calls_return(tmp_path):
             ik.plot(what, "p.png")
     with pytest.raises(ConfigurationNotFound):
         ik.plot("something", robot)
+
+
+def test_stability_along_a_path_is_drawn():
+    robot = ik.Robot.load("planar_2r")
+    path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
+    found = ik.least_rate(robot, path, "cv", kappa=20.0, most=40.0)
+    (axis,) = ik.plot(found).axes
+    assert axis.get_title(loc="left") == f"stable from {found.rate:.4g} to 40 Hz"
+    assert np.allclose(axis.lines[0].get_xdata(), found.rates)
+    with pytest.raises(InvalidOption, match="at least two values of gain"):
+        ik.plot(ik.stability_chart(robot, path, gain=[0.5], samples=[9]))
+    with pytest.raises(InvalidOption, match="no chart of a GainCheck"):
+        ik.plot(ik.check_gains("cv", 0.01, kappa=20.0))
