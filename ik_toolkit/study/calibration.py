@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidConfiguration, floats
+from ..errors import InvalidConfiguration, ModelError, floats
 from ..files import as_output, write_whole
 from ..robot.formats.convert import corrected_robot
+from ..robot.formats.dh import DHTable
 from ..robot.robot import Robot
+from ..solvers.explain.dh_table import dh_of
 from ..text import TextTable, length
 from .calibration_fit import ArmFit
 from .calibration_report import open_points, page
@@ -183,6 +185,17 @@ class Calibration:
         tool = C.get(0, pin.SE3.Identity()).homogeneous
         against = [model.names[j] for j, i in self.drawn._path.owner.items() if self.signs[i] < 0.0]
         return corrected_robot(self.drawn, joints, against, tool)
+
+    @property
+    def dh(self) -> DHTable | None:
+        """The classic Denavit-Hartenberg table of the corrected robot; None for mimic joints, and without a URDF.
+
+        Where axes that were drawn parallel are not quite so, their common normal may be far away, and d large.
+        """
+        try:
+            return dh_of(self.robot)
+        except ModelError:
+            return None
 
     def write(self, path: str | Path) -> Robot:
         """Write the corrected robot as one plain URDF. Returns the robot; load the file with the name of its tip."""

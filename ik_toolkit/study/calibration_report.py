@@ -115,6 +115,16 @@ def page(found: Any) -> str:
     if len(found.touched):
         rows = [(k, *(f"{1e3 * x:.2f} mm" for x in place)) for k, place in enumerate(found.touched.tolist())]
         parts.append(TextTable("Places touched", "as found, base frame", ("", "x", "y", "z"), rows, most=1000))
+    table = found.dh
+    if table is not None:
+        head = ("joint", "theta (deg)", "d (mm)", "a (mm)", "alpha (deg)")
+        scale = np.array([180.0 / np.pi, 1e3, 1e3, 180.0 / np.pi])
+        rows = [
+            (row.name, *(f"{x + 0.0:.3f}" for x in np.round(scale * (row.theta, row.d, row.a, row.alpha), 3)))
+            for row in table.rows
+        ]
+        words = "corrected arm, classic convention; lengths are large where two axes are nearly parallel"
+        parts.append(TextTable("Denavit-Hartenberg table", words, head, rows, most=1000))
     said = "".join(f"<li>{html.escape(note)}</li>" for note in found.notes)
     body = "".join(f"<section>{part.html()}</section>" for part in parts)
     title = html.escape(f"Calibration of {found.drawn.name}")

@@ -12,6 +12,7 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.files import write_table
+from ik_toolkit.robot.formats.dh import dh_fk
 
 NOISE = 5e-4
 ELSEWHERE = ik.pose(xyz=(5.0, -3.0, 1.0), rpy=(0.3, -0.2, 2.9))
@@ -167,6 +168,7 @@ def test_the_corrected_urdf_is_the_calibrated_arm(name, tmp_path):
     for q in H:
         assert np.abs(back.fk(q).homogeneous - found.fk(q).homogeneous).max() < 1e-12
         assert np.abs(made.fk(q).homogeneous - found.fk(q).homogeneous).max() < 1e-12
+        assert np.abs(dh_fk(found.dh, q) - made.fk(q).homogeneous).max() < 1e-9 if found.dh else "mimic" in name
     assert off(found, truth, H)[0] < NOISE
 
 
@@ -353,6 +355,7 @@ def test_page_and_chart(good, tmp_path):
         with pytest.raises(InvalidOption, match=f"written as .*, not '{name}'"):
             write(tmp_path / name)
     page = found.save(tmp_path / "page.html").read_text()
+    assert "Denavit-Hartenberg" in page and f"{1e3 * found.dh.rows[2].a:.3f}" in page
     assert page.count("<circle") == 60 and "http" not in page and "cannot tell" in page and found.fixed[0].fixed in page
     assert "elbow_pitch.offset" in str(found) and "<table>" in found._repr_html_()
     pytest.importorskip("matplotlib")
