@@ -113,6 +113,7 @@ class RobotOptions:
         "X Y Z", "Where the robot's root stands in the world [m]; targets and poses are then given in the world."
     )
     base_rpy: str | None = option("R P Y", "How it stands there: roll, pitch, yaw [rad].")
+    rail: str | None = option("LOWER UPPER", "Put the robot on a rail along x, with these limits [m]: joint base_x.")
     lock: list[str] | None = option("JOINT=VALUE", "Hold a joint at a value; may be repeated.")
     limit: list[str] | None = option(
         "JOINT:LOWER:UPPER",
@@ -175,6 +176,10 @@ class RobotOptions:
             angles = vector(self.base_rpy or "0 0 0", "--base-rpy", 3)
             place = vector(self.base_xyz or "0 0 0", "--base-xyz", 3)
             more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
+        if self.rail is not None:
+            if "on_base" in more:
+                raise InvalidOption("a robot on a rail has no fixed base; give --rail or --base-xyz and --base-rpy")
+            more |= {"on_base": "rail", "base_limits": vector(self.rail, "--rail", 2)}
         tips = find(source).tips
         if self.group is None and tip is None and len(tips) > 1:
             raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")

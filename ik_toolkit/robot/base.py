@@ -25,7 +25,7 @@ AXES = {
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
 }  # fmt: skip
 SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
-BASES = {"planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
+BASES = {"rail": ("x",), "planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
 PARTS = {  # These coordinates replace each of Pinocchio's joints with several degrees of freedom.
     "JointModelFreeFlyer": BASES["floating"],
     "JointModelPlanar": BASES["planar"],
@@ -219,7 +219,7 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
 
 
 def stand(model: pin.Model, on_base: Any) -> pin.Model:
-    """Put a model on a base: 'planar', 'floating' or a pose (4, 4) of its root in the world.
+    """Put a model on a base: 'rail', 'planar', 'floating' or a pose (4, 4) of its root in the world.
 
     Raises InvalidOption, InvalidTarget.
     """
@@ -227,7 +227,7 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
     if isinstance(on_base, str):
         if on_base not in BASES:
             raise InvalidOption(
-                f"on_base must be 'planar', 'floating' or a pose, not '{on_base}'.{near_match(on_base, BASES)}"
+                f"on_base must be 'rail', 'planar', 'floating' or a pose, not '{on_base}'.{near_match(on_base, BASES)}"
             )
         for part in BASES[on_base]:
             last = _add(made, last, ROOT, part, pin.SE3.Identity(), PITCH)
@@ -266,7 +266,9 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
     slides = tuple(name for name in names if name.rpartition("_")[2] in SLIDES)
     if base_limits is not None:
         if not slides:
-            raise InvalidOption("base_limits are for a moving base: on_base='planar' or 'floating', or a free-flyer")
+            raise InvalidOption(
+                "base_limits are for a moving base: on_base='rail', 'planar' or 'floating', or a free-flyer"
+            )
         set_base_limits(made, base_limits, slides, [name for name in names if name not in slides])
     return Footing(made, None if made is model else model, given, tuple(names), slides)
 

@@ -130,8 +130,8 @@ class Robot(Joints):
             package_dirs: Folders in which ROS packages are searched.
             locked: Values [rad or m] at which joints are held, by name; they are left out of q.
             xacro_args: Values of a xacro file's arguments, by name.
-            on_base: Pose (4, 4) of the root in the world, in which poses are then given; 'planar' puts base_x, base_y, base_yaw
-                before q, 'floating' base_x, base_y, base_z, base_yaw, base_pitch, base_roll (Rz Ry Rx).
+            on_base: Pose (4, 4) of the root in the world, in which poses are then given; 'rail' puts base_x before q, 'planar'
+                base_x, base_y, base_yaw, 'floating' base_x, base_y, base_z, base_yaw, base_pitch, base_roll (Rz Ry Rx).
             base_limits: (lower, upper) [m] of the base's prismatic joints, one pair for all, one pair each, or a dict by name.
                 Rotations are unlimited unless given, except pitch (+-85 degrees).
             srdf: File or text of an SRDF, by default the one next to the file (see `srdf_beside`); False uses none.

@@ -152,7 +152,7 @@ def place(
     """Find where the robot should stand so that it reaches the most of the poses.
 
     Args:
-        robot: The Robot, whose base goes to the place.
+        robot: The Robot, whose base goes to the place; of one on a rail (`on_base="rail"`) the rail, whose x axis it moves along.
         poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up.
         where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
         yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
@@ -172,8 +172,8 @@ def place(
         PlaceInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the best so far.
     """
     require_one_tip(robot, "place")
-    if robot.on_base is not None:
-        raise InvalidOption("place chooses the pose of the base; load the robot without on_base")
+    if robot.on_base is not None and not isinstance(robot.on_base, str):
+        raise InvalidOption("place chooses the pose of the base; load the robot without a pose as on_base")
     check_progress(progress, "the number of candidates counted")
     count = whole(count, "count")
     W = known(poses, robot.base)

@@ -69,6 +69,15 @@ def test_a_base_is_ordinary_joints_before_the_others(kind, names):
     assert np.array_equal(again.fk(q).homogeneous, robot.fk(q).homogeneous) and again.joint_names == robot.joint_names
 
 
+def test_a_rail_is_one_slide_before_the_others():
+    plain, robot = load(ARM), ik.Robot.load(ARM, on_base="rail", base_limits=(-0.5, 2))
+    assert robot.joint_names == ("base_x", *plain.joint_names) and robot.home[0] == 0.0
+    assert robot.lower[0] == -0.5 and robot.upper[0] == 2.0
+    moved = robot.fk([1.5, *plain.home]).homogeneous
+    assert np.allclose(moved, ik.pose((1.5, 0, 0), rpy=(0, 0, 0)) @ plain.fk(plain.home).homogeneous, atol=1e-12)
+    assert solved(robot, 20) == 20
+
+
 @pytest.mark.parametrize(
     ("limits", "lower"),
     [

@@ -31,7 +31,8 @@ def test_models(arm):
     ):
         ik.Robot(arm.model, tip=arm.tip, base=arm.base, on_base="planar")
     with pytest.raises(
-        InvalidOption, match=r"on_base must be 'planar', 'floating' or a pose, not 'plane'\. Did you mean 'planar'"
+        InvalidOption,
+        match=r"on_base must be 'rail', 'planar', 'floating' or a pose, not 'plane'\. Did you mean 'planar'",
     ):
         ik.Robot(arm.model, tip=arm.tip, on_base="plane")
     with pytest.raises(ModelError, match=r"no moving joint between base '.*' and tip '.*': nothing to solve"):

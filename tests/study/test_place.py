@@ -138,7 +138,18 @@ def test_mistakes_are_named(hydrolek):
         with pytest.raises(error, match=words):
             ik.place(hydrolek, poses, **arguments)
     with pytest.raises(InvalidOption, match="on_base"):
-        ik.place(ik.Robot.load("hydrolek_7w", on_base="planar", base_limits=(-1, 1)), W)
+        ik.place(ik.Robot.load("hydrolek_7w", on_base=np.eye(4)), W)
+
+
+def test_a_rail_is_placed_as_the_base_of_the_arm_on_it():
+    """Poses three metres long are not reached from one place, but are along a rail."""
+    arm, rail = ik.Robot.load("ur5"), ik.Robot.load("ur5", on_base="rail", base_limits=(0.0, 3.0))
+    W = np.tile(arm.fk([0.3, -1.2, 1.4, -1.8, -1.5, 0.2]).homogeneous, (30, 1, 1))
+    W[:, 0, 3] += np.linspace(0.0, 3.0, 30)
+    fixed, moving = (ik.place(one, W, count=1)[0] for one in (arm, rail))
+    assert fixed.count < 30 and moving.count == 30
+    seen = np.linalg.inv(moving.T_world_base) @ W
+    assert ik.solve_batch(rail, seen).success.all()
 
 
 def test_the_command(hydrolek, tmp_path, monkeypatch, capsys):
