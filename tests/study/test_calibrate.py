@@ -295,13 +295,11 @@ def test_suggested_poses_tell_more(arm):
 
 def test_too_little_data_are_said(arm, good):
     """A wrist that never moved: its errors are assumed, and other poses could tell them."""
-    _, truth, _ = good
-    Q = drawn(arm, 35, 30)
+    truth, Q = good[1], drawn(arm, 35, 30)
     Q[:, 3:] = 0.2
     found = ik.calibrate(arm, Q, measured(truth, Q, 36)[:, :3, 3])
     assert found.rank_anywhere > found.rank and any("other poses" in note for note in found.notes)
-    offsets = ik.calibrate(arm, Q, measured(truth, Q, 36)[:, :3, 3], parameters="joints")
-    assert any("frames" in note for note in offsets.notes)
+    assert "frames" in " ".join(ik.calibrate(arm, Q, measured(truth, Q, 36)[:, :3, 3], parameters="joints").notes)
 
 
 # ------------------------------------------------------------------------------------------------------------ mistakes
@@ -343,7 +341,7 @@ def test_several_tips_and_no_urdf(arm, good, tmp_path):
     _, truth, Q = good
     bare = ik.Robot(arm.model, tip=arm.tip)
     found = ik.calibrate(bare, Q, measured(truth, Q, 3)[:, :3, 3])
-    assert found.rank == 27
+    assert found.rank == 27 and found.dh is None
     with pytest.raises(ik.IKError, match="without a URDF"):
         found.write(tmp_path / "arm.urdf")
 
@@ -355,8 +353,8 @@ def test_page_and_chart(good, tmp_path):
         with pytest.raises(InvalidOption, match=f"written as .*, not '{name}'"):
             write(tmp_path / name)
     page = found.save(tmp_path / "page.html").read_text()
-    assert "Denavit-Hartenberg" in page and f"{1e3 * found.dh.rows[2].a:.3f}" in page
-    assert page.count("<circle") == 60 and "http" not in page and "cannot tell" in page and found.fixed[0].fixed in page
+    said = "http" not in page and "cannot tell" in page and found.fixed[0].fixed in page
+    assert said and page.count("<circle") == 60 and f"{1e3 * found.dh.rows[2].a:.3f}" in page
     assert "elbow_pitch.offset" in str(found) and "<table>" in found._repr_html_()
     pytest.importorskip("matplotlib")
     ik.plot(found, file=tmp_path / "chart.svg")
