@@ -20,7 +20,7 @@ from ..kernel.records import ANSWER, AT, MISS, PAST, POINTS, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
 from .options import PLAIN, Options
-from .postprocess import finishing
+from .postprocess import FEW, finishing
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row, search_for
 from .task import group_levels, kernel_tasks, relatives, what_counts
@@ -31,7 +31,6 @@ KINDS_KEPT = 64
 CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
-WITHOUT_LIMITS = 20  # number of attempts without limits that test whether limits keep the arm from a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -94,8 +93,16 @@ class Plan:
     @functools.cached_property
     def unlimited(self) -> "Plan":
         """The same plan without limits and with a few attempts, to test whether limits block a target."""
-        attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
-        return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
+        return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **self._few})
+
+    @functools.cached_property
+    def retried(self) -> "Plan":
+        """The same plan with as many attempts as `unlimited` has, to test whether others reach the target inside the limits."""
+        return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
+
+    @property
+    def _few(self) -> dict[str, int]:
+        return {} if self.row.closed else {"restarts": FEW - 1}
 
     def search(self, **options: Any) -> "Plan":
         """Return a plan of the general search with the same options, some of them changed."""

@@ -21,6 +21,7 @@ from .status import DECIDED, Status, constraints_of
 from .task import POSE, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
+FEW = 20  # number of attempts, without limits and with them, that test whether limits keep the arm from a target
 ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)  # statuses of failures whose q is moved to the closest configuration
 
 
@@ -85,12 +86,16 @@ def finish_failures(
 def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
     """Finish, in place, the result rows (m, width) of failed searches for targets T from starts (m, n).
 
-    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the solver asks for
-    it (`plan.descends`), the row's q is moved to the configuration nearby that is closest to the target.
+    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either, or one inside the limits
+    does. Then, if the solver asks for it (`plan.descends`), the row's q is moved to the configuration nearby that is closest to the
+    target.
     """
     for k, row in enumerate(rows):
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
-            if plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1], given)[AT.status] != CONVERGED:
+            asked = T[k : k + 1], kinds, start[k : k + 1], given
+            blocked = plan.unlimited.solve(*asked)[AT.status] == CONVERGED
+            few = row[AT.restarts] + 1 < FEW  # A longer search has made these attempts already.
+            if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CONVERGED):
                 row[AT.status] = STALLED
     if plan.descends:
         _descend(plan, T, kinds, start, given, rows)

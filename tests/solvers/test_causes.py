@@ -50,6 +50,17 @@ def test_limits_are_blamed_only_for_what_is_solved_without_them(name, solver):
     assert blamed if solver == "lm" else True
 
 
+@pytest.mark.parametrize("solver", ["dls", "ccd"])
+def test_an_attempt_that_stops_at_a_limit_blames_no_limit_for_what_others_reach(solver):
+    arm, rng = robots.load("hydrolek_7w"), np.random.default_rng(0)
+    found = [
+        ik.solve(arm, arm.fk(arm.random_q(rng)).translation, solver, tolerance=1e-3, q0=arm.home) for _ in range(100)
+    ]
+    stopped = [one for one in found if one.status == Status.STALLED]
+    assert stopped and all("at a limit" in one.message for one in stopped)
+    assert not any(one.status == Status.LIMIT_BLOCKED for one in found)
+
+
 def five_joints():
     return robots.load(
         robots.urdf(
