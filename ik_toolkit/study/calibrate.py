@@ -68,7 +68,7 @@ def calibrate(
                 f"the tip touches both sockets {pair}, so they are not {far:g} m apart; were millimetres meant?"
             )
     Q = _configurations(robot, q, len(data))
-    data.require_metres(robot.reach)
+    data.require_metres(robot.reach, robot.chain.forward(Q)[0][:, :3, 3])
     if "base" in groups and what not in ("pose", "position"):
         raise InvalidOption(
             f"parameters has base, which needs measured poses or positions; what is '{what}': leave base out"

@@ -50,15 +50,9 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     if unsure:
         some = ", ".join(unsure[:6]) + (f" and {len(unsure) - 6} more" if len(unsure) > 6 else "")
         said.append(f"hardly told by these data, so mostly assumed as drawn: {some}")
-    scales = found._arm().scales(*found.prior)
-    far = [
-        one.name
-        for one, x, s in zip(found.unknowns, found.x, scales, strict=True)
-        if abs(x) > 3.0 * s and one.group != "base"
-    ]
-    if far:
+    if found.implausible:
         remedy = "look at units, labels and rows of the data, or give a larger prior="
-        said.append(f"larger than assumed ({remedy}): {', '.join(far[:6])}")
+        said.append(f"larger than assumed ({remedy}): {', '.join(found.implausible[:6])}")
     count = kept * WHAT[found.what]
     if count < FEW * found.rank:
         said.append(f"only {count} numbers for {found.rank} errors: outliers and intervals are uncertain; measure more")

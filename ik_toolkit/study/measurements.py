@@ -13,12 +13,15 @@ import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget, floats, near_match, whole
 from ..robot.pose import as_matrix
+from ..text import length
 
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}  # numbers that each kind of measurement gives
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
 PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
-FAR = 10.0  # If measured positions spread over more than this many arm reaches, they are not in metres.
+# Measured positions that spread over more arm reaches than this, or of which 100 times the spread is less than the drawn arm's, are
+# not in metres.
+FAR = 10.0
 
 
 class Measurements:
@@ -117,8 +120,11 @@ class Measurements:
             setattr(other, name, array[rows] if len(array) else array)
         return other
 
-    def require_metres(self, reach: float) -> None:
-        """Raise InvalidTarget if positions or distances spread so far that they cannot be metres."""
+    def require_metres(self, reach: float, drawn: np.ndarray) -> None:
+        """Raise InvalidTarget if positions or distances spread so far, or so little, that they cannot be metres.
+
+        drawn: tip positions (N, 3) [m] of the drawn arm in the measured configurations.
+        """
         spread = (
             float(np.ptp(self.positions, axis=0).max())
             if len(self.positions)
@@ -130,6 +136,12 @@ class Measurements:
             raise InvalidTarget(
                 f"the measurements spread over {spread:.4g} m, {spread / reach:.0f} times the robot's reach of {reach:.3g} m; were "
                 "millimetres meant? Multiply by 0.001 (--length-unit mm)"
+            )
+        moved = float(np.ptp(drawn, axis=0).max())
+        if len(self.positions) and 100.0 * spread < moved:
+            raise InvalidTarget(
+                f"the measurements spread over {length(spread)}, but the tip of the drawn arm moves over {length(moved)}; were "
+                "they metres already? Give metres (--length-unit m)"
             )
 
     def names(self) -> list[str]:
@@ -212,12 +224,12 @@ class Measurements:
         if self.places is not None:
             E, D = [*(z - self.places.ravel())], [*np.eye(len(z))]
         places = z.reshape(-1, 3)
-        for (a, b), length in self.pairs.items():
+        for (a, b), far in self.pairs.items():
             apart = places[a] - places[b]
             row = np.zeros((self.count, 3))
             row[a] = apart / max(np.linalg.norm(apart), 1e-12)
             row[b] = -row[a]
-            E.append(np.linalg.norm(apart) - length)
+            E.append(np.linalg.norm(apart) - far)
             D.append(row.ravel())
         return np.array(E), np.array(D).reshape(len(E), len(z))
 

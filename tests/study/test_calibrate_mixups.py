@@ -1,0 +1,48 @@
+"""Calibration: rows, units and labels that were mixed up do not pass for a calibrated arm."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.files import write_table
+
+
+@pytest.fixture(scope="module")
+def data():
+    """A HydroLek whose joints are half a degree off, and positions of its tip."""
+    arm = robots.load("hydrolek_7w")
+    Q = arm.random_q(np.random.default_rng(5), 30)
+    off = np.radians(np.random.default_rng(6).normal(0.0, 0.5, arm.n))
+    return arm, Q, np.array([arm.fk(q + off).translation for q in Q])
+
+
+def test_metres_taken_for_millimetres_are_refused(data):
+    arm, Q, at = data
+    with pytest.raises(InvalidTarget, match="were they metres already"):
+        ik.calibrate(arm, Q, 1e-3 * at)
+    with pytest.raises(InvalidTarget, match="were millimetres meant"):
+        ik.calibrate(arm, Q, 1e3 * at)
+
+
+def test_rows_in_another_order_are_not_credible(data, tmp_path, capsys):
+    arm, Q, at = data
+    assert ik.calibrate(arm, Q, at).credible
+    found = ik.calibrate(arm, Q, at[::-1])
+    assert not found.credible and not found.to_dict()["credible"]
+    write_table(tmp_path / "m.csv", [*arm.joint_names, "x", "y", "z"], np.hstack([Q, at[::-1]]).tolist())
+    said = ["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.csv"), "-o", str(tmp_path / "arm.urdf")]
+    assert main(said) == 1
+    assert "not to be used" in capsys.readouterr().err
+
+
+def test_an_error_far_beyond_the_prior_is_not_credible_until_the_prior_allows_it(data):
+    arm, Q, _ = data
+    off = np.zeros(arm.n)
+    off[2] = np.radians(20.0)
+    at = np.array([arm.fk(q + off).translation for q in Q])
+    found = ik.calibrate(arm, Q, at, parameters=("joints",))
+    assert found.implausible == ("elbow_pitch.offset",) and not found.credible
+    assert ik.calibrate(arm, Q, at, parameters=("joints",), prior=(0.01, 0.35)).credible
