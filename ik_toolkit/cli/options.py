@@ -350,7 +350,7 @@ class CollisionOptions:
     avoid_collisions: bool = flag("--avoid-collisions", "Accept only solutions without self-collision.")
     obstacle: list[str] | None = option(
         "KIND:...",
-        "Obstacle to avoid, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
+        "Obstacle to avoid, in the frame of the targets; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
         "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
     )
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")

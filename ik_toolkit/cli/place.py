@@ -50,6 +50,8 @@ def place(
     ik place hydrolek_7w --poses cuts.csv --plot floor.png
     ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --ordered
     """
+    if robot.base_xyz is not None or robot.base_rpy is not None:
+        raise InvalidOption("ik place chooses where the robot stands; omit --base-xyz and --base-rpy")
     arm = robot.load(robot.tip)
     from ..study.place import PlaceInterrupted
     from ..study.place import place as search
@@ -90,12 +92,19 @@ def place(
             clear = "-" if math.isnan(one.clearance) else length(one.clearance)
             made.add_row(str(k + 1), *at, f"{one.count} of {len(poses)}", clear, fixed(one.margin, 3))
         show(made)
+        show(
+            "margin: mean over the poses reached of the distance to the nearest joint limit, 1 in the middle of all ranges"
+        )
         if asked.ordered and len(found) and found[0].path is not None:
             show(facts({"path from the first": found[0].path.message}))
     if stopped:
         notice(f"partial: the best of {len(found.candidates):,} candidates")
         raise KeyboardInterrupt
     if not any(one.count for one in found):
+        free = "; without the obstacles some may be" if around.obstacle else ""
+        notice(
+            f"no pose is reached from any of {len(found.candidates):,} places tried, of a reach of {length(arm.reach)}{free}"
+        )
         raise typer.Exit(1)
 
 

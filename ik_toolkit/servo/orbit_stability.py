@@ -108,7 +108,10 @@ class PathMotion:
                 return Q
             Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, : self.m], rcond=SINGULAR), e)
         at = times[int(np.argmax(far))]
-        raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s")
+        few = (
+            "" if self.m == 3 or self.robot.n >= 6 else "; with so few joints ask for positions alone (--position-only)"
+        )
+        raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s{few}")
 
     def sampled(self, h: float) -> tuple[Bent, Orbit]:
         """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
@@ -128,6 +131,12 @@ class PathMotion:
         ahead = tip_errors(T[1:], poses[:-1], self.m)
         self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
         return self._last[1]
+
+    def beyond_limits(self) -> str:
+        """Return a sentence that names the joints whose limits the motion leaves, or ''; growth is computed without limits."""
+        out = ((self.q < self.robot.lower) | (self.q > self.robot.upper)).any(axis=0)
+        names = ", ".join(np.array(self.robot.joint_names)[out])
+        return f" Limits are not counted, and on this motion {names} would leave theirs." if names else ""
 
     def largest_move(self, h: float) -> float:
         """Return the largest move of a joint in a sample of h [s], [rad or arm reaches]."""

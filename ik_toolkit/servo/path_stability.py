@@ -114,6 +114,7 @@ def least_rate(
     move = motion.largest_move(1.0 / found)
     if move > FAR:
         words += f" At the first of these a joint moves {move:.2g} rad in a sample; above {FAR:g} runs may differ."
+    words += motion.beyond_limits()
     return LeastRate(found, top, at_rest, bands, rates, growth, move, words)
 
 

@@ -347,6 +347,7 @@ def check_gains(
         found = along(h, gains)
         judged = "stable" if found.factor < 1.0 else "unstable"
         message += f" Along the path it is {judged}: {found.words} ({found.per_step:.5g} a sample)."
+        message += motion.beyond_limits()
         if rescued or (judged == "unstable" and verdict == "stable"):
             low = 1.0 / longest if rescued else 1.0 / h
             verdict = judged if judged == "unstable" else verdict

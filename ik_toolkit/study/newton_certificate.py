@@ -137,7 +137,7 @@ class NewtonCertificate:
         if self.h <= 0.5:
             return f"Not proven: within r = {self.radius:.3g} of q0 a step may meet a joint limit (h = {self.h:.3g})"
         why = f"h = {self.h:.3g} is above 1/2" if self.h < np.inf else "nothing can be claimed here (see h)"
-        return f"Not proven: {why}; Newton may converge all the same"
+        return f"Not proven: {why}; Newton may converge all the same, if the target can be reached"
 
 
 def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = True) -> NewtonCertificate:

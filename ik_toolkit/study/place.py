@@ -214,7 +214,7 @@ def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> t
             )
     turns = (-np.pi, np.pi) if yaw is None else _ends(yaw, "yaw [rad]")
     if max(abs(x) for x in turns) > 2.0 * np.pi + 1e-9:
-        raise InvalidOption(f"yaw [rad] must be within a turn, not {yaw!r:.60}; convert degrees by np.radians")
+        raise InvalidOption(f"yaw [rad] must be within a turn, not {yaw!r:.60}; were degrees meant?")
     heights = _ends(height, "height [m]")
     ends = np.array([[*xy[0], turns[0], heights[0]], [*xy[1], turns[1], heights[1]]])
     return ends[0], ends[1]

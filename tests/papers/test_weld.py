@@ -190,6 +190,14 @@ def test_least_travel_is_least():
     assert found == 0  # There is a plan wherever neighbours overlap, and only there.
 
 
+def test_the_lift_moves_at_least_as_far_along_the_motion_as_from_pose_to_pose(arm):
+    seam = Canister().seam(0.0, np.linspace(0.05, 0.65, 11), turn=np.radians(337.5))
+    plan = inspect_weld(arm, seam)
+    assert plan.whole_travel >= plan.travel - 1e-9
+    assert plan.whole_travel == pytest.approx(np.abs(np.diff(plan.path.curve[:, 1])).sum())
+    assert "between them" in repr(plan)
+
+
 def test_least_travel_chooses_among_windows():
     """The narrow window on the way is a detour; where neighbours do not overlap, there is no plan."""
     first, last = [LiftWindow(2, 0.1, 0.12)], [LiftWindow(2, 0.11, 0.13)]

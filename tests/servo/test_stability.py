@@ -297,6 +297,19 @@ def test_a_lap_is_closed_whatever_the_rate():
         assert st.check_gains("ca", 1.0 / rate, robot=robot, path=path, kp=61.0, kd=3.8).along.closed
 
 
+def test_a_path_outside_the_joint_limits_is_said():
+    """The hole that the limits of the elbow leave: without limits the path is followed, with them it is not."""
+    robot = ik.Robot.load("planar_2r")
+    path = ik.circle((0.3, 0.0, 0.0), 0.15, duration=10.0)
+    for message in (
+        st.check_gains("cv", 0.02, robot=robot, path=path, kappa=20.0).message,
+        ik.least_rate(robot, path, "cv", kappa=20.0, most=50.0).message,
+    ):
+        assert "would leave theirs" in message and robot.joint_names[1] in message
+    near = ik.circle(robot.fk(robot.home + 0.4).translation, 0.1, duration=2.0)
+    assert "leave theirs" not in st.check_gains("cv", 0.02, robot=robot, path=near, kappa=20.0).message
+
+
 def test_most_of_a_circle_is_no_lap_whatever_the_rate():
     """At 5 Hz the target moves by half of the gap in a sample."""
     robot = ik.Robot.load("planar_2r")

@@ -129,7 +129,7 @@ def test_mistakes_are_named(hydrolek):
         (InvalidOption, "floor", W, {"where": "roof"}),
         (InvalidOption, "lower first", W, {"where": ((1, 1), (0, 0))}),
         (InvalidOption, "yaw", W, {"yaw": np.nan}),
-        (InvalidOption, "convert degrees", W, {"yaw": 90}),
+        (InvalidOption, "were degrees meant", W, {"yaw": 90}),
         (InvalidOption, "height", W, {"height": (2, 1)}),
         (InvalidOption, "count", W, {"count": 0}),
         (InvalidOption, "restarts", W, {"restarts": 5}),
