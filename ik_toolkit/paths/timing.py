@@ -18,7 +18,7 @@ from ..validate import positive
 from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
-GRID = 200  # least number of grid points of the time law of a smooth piece
+GRID = 200  # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
 TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
@@ -259,7 +259,9 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
     knots = piece.knots
-    between = max(2, math.ceil(GRID / (len(knots) - 1)))
+    # Between grid points the tip is slower than its ceiling by as much as its rate along the curve changes there.
+    points = GRID if tip_speed == math.inf else 10 * GRID
+    between = max(2, math.ceil(points / (len(knots) - 1)))
     step = np.diff(knots) / between
     # Acceleration from rest to a low tip speed takes a small part of the first interval, so this is divided more finely.
     nearer = 4.0 ** -np.arange(1.0, 8.0)
