@@ -16,8 +16,6 @@ from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments, robots_like
 from .output import notice, progress, show, table, write_json
 
-SHOWN = 3  # number of missing meshes that a message names
-
 
 @options("Robot")
 class FileOptions(JsonOutput):
@@ -232,11 +230,6 @@ def convert(asked: ConvertOptions) -> None:
     if asked.output is not None:
         write_whole(asked.output, made.text)
         notice(f"wrote {asked.output}: {made.name}, {len(made.meshes)} mesh files")
-    if made.lost:
-        some = "; ".join(f"'{name}' {why}" for name, why in list(made.lost.items())[:SHOWN])
-        more = f"; and {len(made.lost) - SHOWN} more" if len(made.lost) > SHOWN else ""
-        notice(f"meshes that keep their names (--package-dir names their folder): {some}{more}")
-    outside = sorted({str(Path(file).parent) for file in made.meshes.values() if Path(file).is_absolute()})
-    if outside and asked.output is not None:
-        notice(f"meshes lie outside its folder; pictures and collisions of it need --package-dir {outside[0]}")
+    for note in made.notes():
+        notice(note)
     _print(asked, made.text, {"name": made.name, "output": asked.output, "meshes": made.meshes, "lost": made.lost})
