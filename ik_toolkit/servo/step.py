@@ -41,9 +41,9 @@ class StepStatus(Enum):
     LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target, or it is on its way to a target that
     jumped. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
     collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a joint
-    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones, or not finite. JUMPED: a joint
-    moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite, or measured
-    joints that are far off do not agree, are not finite or are outside the limits.
+    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones, or not finite.
+    JUMPED: a joint moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite,
+    or measured joints that are far off do not agree, are not finite or are outside the limits.
     """
 
     OK = "ok"
