@@ -111,7 +111,7 @@ def check(asked: CheckOptions) -> None:
 
     entry = find(asked.urdf)
     options = asked.read(*entry.package_dirs)
-    findings, robots, expanded = _findings(asked.urdf, entry, options)
+    findings, robots, expanded = every_finding(asked.urdf, entry, options)
     forms = {robot.tip: words for robot in robots if (words := describe_fit(robot))}
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
@@ -167,7 +167,7 @@ def _self_collision(entry: Any, tip: str, options: dict[str, Any], samples: int 
         return self_collision(robot, count, seed, step)
 
 
-def _findings(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[Any], list[Any], bool]:
+def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[Any], list[Any], bool]:
     """Return all findings, errors first; the robots that can be loaded; and whether lines are those of a text made of the file."""
     from ..robot.formats.finding import error_finding, notes, odd
     from ..robot.formats.urdf_check import check_urdf
@@ -194,9 +194,11 @@ def _findings(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[An
             element = f"tip '{tip}'" if tip else "robot"
             said[str(error)] = error_finding(element, str(error), "loading refuses this tip as it is", 0)
         else:
-            notices = [*robots[-1].notes, *robots[-1].srdf.remarks]
-            advice = "make sure that this is meant"
-            said |= {note: odd(f"tip '{tip}'", note, advice, 0, at_load=True) for note in notices if note not in known}
+            srdf = robots[-1].srdf
+            noted = [(f"tip '{tip}'", note) for note in robots[-1].notes if note not in known]
+            noted += [(f"SRDF '{srdf.path.name}'" if srdf.path else "SRDF", remark) for remark in srdf.remarks]
+            for element, note in noted:
+                said.setdefault(note, odd(element, note, "make sure that this is meant", 0, at_load=True))
     return sorted([*findings, *said.values()], key=lambda one: one.severity != "error"), robots, read.made
 
 
