@@ -11,12 +11,11 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from ik_toolkit.cli.files import every_finding
 from ik_toolkit.errors import IKError
 from ik_toolkit.files import write_whole
 from ik_toolkit.robot.formats.finding import Finding, error_finding
-from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import find
-from ik_toolkit.robot.load import urdf_of
 
 PART = "contains xacro macros but no robot"  # a file that others include
 PAGE = """# What `ik check` reports of public robots
@@ -70,10 +69,8 @@ def main(arguments: list[str]) -> None:
 def check(file: Path, packages: Iterable[Path]) -> list[Finding]:
     """Findings for a file, as `ik check` gives them."""
     try:
-        entry = find(file)
-        read = urdf_of(entry, packages)
-        return check_urdf(read.text, read.package_dirs, file=read.file)
-    except IKError as error:
+        return every_finding(str(file), find(file), {"package_dirs": packages})[0]
+    except IKError as error:  # such as a missing extra
         return [error_finding("file", str(error), "", 0)]
 
 

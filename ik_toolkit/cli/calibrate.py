@@ -1,6 +1,7 @@
 """`ik calibrate`: the errors of an arm from a file of measurements, and the poses to measure."""
 
 import math
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from ..errors import InvalidOption, InvalidTarget
 from ..files import write_table
 from ..text import figure, length, numbers, vector
 from .command import PLOTS, command, option, options
-from .options import FileOptions, JsonOutput, OneTip
+from .options import FileOptions, JsonOutput, OneTip, given
 from .output import facts, heading, notice, show, table, turns, write_json
 
 
@@ -66,7 +67,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]
     if asked.data is None:
-        _suggest(asked, arm, groups, None, robot.deg, out.as_json)
+        _suggest(asked, robot, arm, groups, None, out.as_json)
         return
     from ..study.calibrate import calibrate as fit
 
@@ -83,7 +84,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
         prior=None if asked.prior is None else vector(asked.prior, "--prior"),
     )
     if asked.suggest is not None:
-        _suggest(asked, arm, groups, found, robot.deg, out.as_json)
+        _suggest(asked, robot, arm, groups, found, out.as_json)
         return
     if asked.output is not None:
         made = found.write(asked.output)
@@ -152,13 +153,30 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]
     return what or ("pose" if poses.ndim == 3 else "position"), Q, poses
 
 
-def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, deg: bool, as_json: bool) -> None:
+def _next(asked: CalibrateOptions, robot: OneTip) -> str:
+    """Return what to do with the suggested configurations: the columns to add, and the command with the options of this one."""
+    from ..robot.formats.urdf import is_text
+
+    what = asked.what or "position"
+    columns = {"pose": "columns x,y,z,qx,qy,qz,qw", "position": "columns x,y,z"}.get(what, f"column {what}")
+    words = ["ik", "calibrate", "ROBOT" if is_text(robot.robot) else robot.robot, "--data", str(asked.output)]
+    used = {**given(robot), "what": asked.what, "parameters": asked.parameters}
+    for name, value in used.items():
+        flag = f"--{name.replace('_', '-')}"
+        if value is True:
+            words.append(flag)
+        elif name != "robot" and value not in (None, False, CalibrateOptions.parameters):
+            words += [f"{flag}={one}" for one in (value if isinstance(value, list) else [value])]
+    return f"add the {columns} as measured, then: {shlex.join(words)}"
+
+
+def _suggest(asked: CalibrateOptions, robot: OneTip, arm: Any, groups: list[str], found: Any, as_json: bool) -> None:
     """Choose configurations, and write or show them."""
     import numpy as np
 
     from ..study.suggest_poses import suggest_poses
 
-    count = asked.suggest or 0
+    count, deg = asked.suggest or 0, robot.deg
     if found is not None:
         Q = found.suggest(count, seed=asked.seed)
     else:
@@ -169,7 +187,7 @@ def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, d
         write_table(
             asked.output, [*arm.joint_names, "drawn_x", "drawn_y", "drawn_z"], np.hstack([shown, tips]).tolist()
         )
-        notice(f"wrote {asked.output}: add the columns x,y,z as measured, then: ik calibrate {arm.name} --data FILE")
+        notice(f"wrote {asked.output}: {_next(asked, robot)}")
     write_json(
         {"robot": arm.name, "joint_names": arm.joint_names, "q": Q, "positions": tips, "output": asked.output}, as_json
     )

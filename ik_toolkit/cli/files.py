@@ -1,20 +1,20 @@
 """`ik dh`, `ik check` and `ik convert`: a URDF from a D-H table, what is wrong with a URDF, and any description as one URDF."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
+from ..errors import CONTROLS, IKError, InvalidOption, ModelError
 from ..files import write_whole
 from ..text import in_shell
 from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments, robots_like
 from .output import notice, progress, show, table, write_json
-
-SHOWN = 3  # number of missing meshes that a message names
 
 
 @options("Robot")
@@ -95,7 +95,8 @@ def check(asked: CheckOptions) -> None:
     construction, or never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf
     or next to the URDF.
 
-    Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
+    The robot is also loaded for each of its known or guessed tips. Exit code 0 when it can be (warnings may remain), 1 when it
+    has errors.
 
     Examples:
     ik check hydrolek_7w
@@ -105,24 +106,15 @@ def check(asked: CheckOptions) -> None:
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.formats.finding import error_finding, odd
-    from ..robot.formats.urdf_check import check_urdf
     from ..robot.library import find
-    from ..robot.load import urdf_of
+    from ..solvers.closed_form import describe_fit
 
     entry = find(asked.urdf)
     options = asked.read(*entry.package_dirs)
-    try:
-        read = urdf_of(entry, **options)
-        expanded = read.made
-        text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
-        findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
-    except ModelError as error:
-        text, expanded = "", False
-        findings = [error_finding("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
+    findings, robots, expanded = every_finding(asked.urdf, entry, options)
+    forms = {robot.tip: words for robot in robots if (words := describe_fit(robot))}
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
-    forms = {} if errors else _closed_forms(entry.tips, text)
     payload = {
         "urdf": asked.urdf,
         "loadable": not errors,
@@ -130,7 +122,8 @@ def check(asked: CheckOptions) -> None:
         "findings": rows,
         "closed_forms": forms,
     }
-    found = _self_collision(entry, options, asked.samples, asked.seed) if asked.sampled and not errors else None
+    sampled = asked.sampled and not errors
+    found = _self_collision(entry, robots[0].tip, options, asked.samples, asked.seed) if sampled else None
     if found is not None:
         pairs = [{"links": pair, "reason": reason} for pair, reason in found.reasons.items()]
         payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
@@ -162,40 +155,66 @@ def check(asked: CheckOptions) -> None:
         raise typer.Exit(1)
 
 
-def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, seed: int) -> Any:
+def _self_collision(entry: Any, tip: str, options: dict[str, Any], samples: int | None, seed: int) -> Any:
     """Find the pairs of links that need no collision test; they hold for any tip, because all joints of the model move."""
     from ..robot.geometry.self_collision import SAMPLES, self_collision
     from ..robot.robot import Robot
 
     count = SAMPLES if samples is None else samples
-    try:
-        robot = Robot.load(entry.source, tip=(entry.tips or (None,))[0], srdf=False, **options)
-    except FrameNotFound as several:
-        if not several.tips:
-            raise
-        robot = Robot.load(entry.source, tip=several.tips[0], srdf=False, **options)
+    with _silent():
+        robot = Robot.load(entry.source, tip=tip, srdf=False, **options)
     with progress("sampling", count) as step:
         return self_collision(robot, count, seed, step)
 
 
-def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
-    """Return for each tip a description of the closed form that applies to its arm; text: a URDF that can be loaded."""
-    from ..robot.base import carried
+def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[Any], list[Any], bool]:
+    """Return all findings, errors first; the robots that can be loaded; and whether lines are those of a text made of the file."""
+    from ..robot.formats.finding import error_finding, notes, odd
+    from ..robot.formats.urdf_check import check_urdf
     from ..robot.formats.urdf_model import build_model
+    from ..robot.load import urdf_of
     from ..robot.robot import Robot
     from ..robot.tips import guess_tip
-    from ..solvers.closed_form import describe_fit
 
-    found, model = {}, build_model(text)
-    for tip in tips or (guess_tip(model).tips if len(guess_tip(model).tips) == 1 else ()):
-        held = carried(model, tip)
+    try:
+        read = urdf_of(entry, **options)
+    except ModelError as error:
+        return [error_finding("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)], [], False
+    findings = check_urdf(read.text, read.package_dirs, file=read.file)
+    known = {*notes(findings, not read.made), *read.notes}
+    findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
+    if findings and findings[0].severity == "error":
+        return findings, [], read.made
+    robots, said = [], {}
+    for tip in entry.tips or guess_tip(build_model(read.text)).tips or (None,):
         try:
-            robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
-        except IKError:  # several tips and none chosen: no single arm to describe
-            continue
-        if describe_fit(robot):
-            found[robot.tip] = describe_fit(robot)
-    return found
+            with _silent():
+                robots.append(Robot.load(source, tip=tip, **options))
+        except IKError as error:
+            element = f"tip '{tip}'" if tip else "robot"
+            said[str(error)] = error_finding(element, str(error), "loading refuses this tip as it is", 0)
+        else:
+            srdf = robots[-1].srdf
+            noted = [(f"tip '{tip}'", note) for note in robots[-1].notes if note not in known]
+            noted += [(f"SRDF '{srdf.path.name}'" if srdf.path else "SRDF", remark) for remark in srdf.remarks]
+            for element, note in noted:
+                said.setdefault(note, odd(element, note, "make sure that this is meant", 0, at_load=True))
+    return sorted([*findings, *said.values()], key=lambda one: one.severity != "error"), robots, read.made
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep the package's log quiet while a robot is loaded whose notes are shown as findings."""
+    log = logging.getLogger("ik_toolkit")
+
+    def none(_: logging.LogRecord) -> bool:
+        return False
+
+    log.addFilter(none)
+    try:
+        yield
+    finally:
+        log.removeFilter(none)
 
 
 @command
@@ -213,11 +232,6 @@ def convert(asked: ConvertOptions) -> None:
     if asked.output is not None:
         write_whole(asked.output, made.text)
         notice(f"wrote {asked.output}: {made.name}, {len(made.meshes)} mesh files")
-    if made.lost:
-        some = "; ".join(f"'{name}' {why}" for name, why in list(made.lost.items())[:SHOWN])
-        more = f"; and {len(made.lost) - SHOWN} more" if len(made.lost) > SHOWN else ""
-        notice(f"meshes that keep their names (--package-dir names their folder): {some}{more}")
-    outside = sorted({str(Path(file).parent) for file in made.meshes.values() if Path(file).is_absolute()})
-    if outside and asked.output is not None:
-        notice(f"meshes lie outside its folder; pictures and collisions of it need --package-dir {outside[0]}")
+    for note in made.notes():
+        notice(note)
     _print(asked, made.text, {"name": made.name, "output": asked.output, "meshes": made.meshes, "lost": made.lost})

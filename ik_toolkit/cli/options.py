@@ -11,7 +11,7 @@ import typer
 from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
 from ..text import comma_hint, numbers, vector, with_points
 from .command import TIP, argument, flag, option, options
-from .output import turns
+from .output import notice, turns
 
 OBSTACLES = {  # numbers that describe an obstacle, and how many of them are sizes
     "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
@@ -322,15 +322,22 @@ class FileOptions:
     length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
     euler: str | None = option(
         "AXES",
-        "Axes about which three angles in the file turn one after another, such as zyx or zyz. Columns roll,pitch,yaw or "
-        "rx,ry,rz are about x, y and z; a,b,c are in order. Default: URDF's roll, pitch, yaw.",
+        "Axes about which three angles in the file turn one after another, such as zyx or zyz; they move with the body (SciPy's "
+        "ZYX). For fixed axes give the reverse order. Columns roll,pitch,yaw or rx,ry,rz are about x, y and z; a,b,c are in "
+        "order. Default: URDF's roll, pitch, yaw.",
     )
 
     def convention(self, deg: bool) -> Any:
         """Return units and angle convention of the file."""
         from ..robot.pose_files import Convention
 
-        return Convention(self.length_unit or "m", deg, self.euler)
+        given = Convention(self.length_unit or "m", deg, self.euler).check()
+        if axes := given.euler:
+            notice(
+                f"angles turn about {', '.join(axes)} one after another, axes that move with the body (SciPy's '{axes.upper()}'); "
+                f"for fixed axes give the reverse order, --euler {axes[::-1]} (columns a,b,c are then c,b,a)"
+            )
+        return given
 
     def poses(self, path: Path, arm: Any, deg: bool) -> Any:
         """Read a whole file of poses (N, 4, 4), or positions (N, 3) [m], for an arm with one tip."""

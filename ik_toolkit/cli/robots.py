@@ -97,6 +97,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     ik info hydrolek_7w
     ik info brokk_hydrolek --list-tips
     """
+    from ..robot.configuration import follower_limits
     from ..robot.formats.dh import read_dh_table
     from ..robot.library import find
     from ..robot.load import read_source
@@ -137,7 +138,8 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
             f"{joint} = {number(value, kinds[joint], deg)} {unit(kinds[joint], deg)}"
             for joint, value in arm.locked_joints.items()
         )
-        mimic = ", ".join(_tie(arm, joint, tie, deg) for joint, tie in arm.mimic_joints.items())
+        own = follower_limits(arm)
+        mimic = "; ".join(_tie(arm, joint, tie, own[joint], deg) for joint, tie in arm.mimic_joints.items())
         show(
             "",
             facts(
@@ -159,8 +161,8 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
         show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
 
 
-def _tie(robot: Any, joint: str, tie: Any, deg: bool) -> str:
-    """Return a text on how a mimic joint follows its leader."""
+def _tie(robot: Any, joint: str, tie: Any, own: tuple[float, float], deg: bool) -> str:
+    """Return a text on how a mimic joint follows its leader, and on its own limits [rad or m], if it has any."""
     kinds = kind_of(robot, joint), kind_of(robot, tie.leader)
     units = [unit(kind, deg) for kind in kinds]
     ratio = tie.ratio * math.prod(
@@ -168,7 +170,9 @@ def _tie(robot: Any, joint: str, tie: Any, deg: bool) -> str:
     )
     sign, offset = "-" if tie.offset < 0.0 else "+", number(abs(tie.offset), kinds[0], deg)
     per = "" if units[0] == units[1] else f"{units[0]}/{units[1]} "
-    return f"{joint} = {ratio:g} {per}{tie.leader}" + f" {sign} {offset} {units[0]}" * (tie.offset != 0.0)
+    low, high = (number(x, kinds[0], deg) for x in own)
+    limits = "" if low == high == "none" else f", limits {low} to {high} {units[0]}"
+    return f"{joint} = {ratio:g} {per}{tie.leader}" + f" {sign} {offset} {units[0]}" * (tie.offset != 0.0) + limits
 
 
 def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
@@ -200,6 +204,7 @@ def _source(paper: str, source_table: str) -> str | None:
 
 def describe(robot: Any) -> dict[str, Any]:
     """Return the robot as plain data for JSON, in metres and radians."""
+    from ..robot.configuration import follower_limits
     from ..solvers.closed_form import describe_fit as closed_form
 
     joints = zip(
@@ -214,7 +219,13 @@ def describe(robot: Any) -> dict[str, Any]:
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
         "mimic_joints": {
-            joint: {**tie._asdict(), "kind": kind_of(robot, joint)} for joint, tie in robot.mimic_joints.items()
+            joint: {
+                **robot.mimic_joints[joint]._asdict(),
+                "kind": kind_of(robot, joint),
+                "lower": lower,
+                "upper": upper,
+            }
+            for joint, (lower, upper) in follower_limits(robot).items()
         },
         "named": robot.named,
         "closed_form": closed_form(robot) or None,

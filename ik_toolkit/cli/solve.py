@@ -344,7 +344,7 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
 
 
 def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
-    from ..robot.configuration import joint_values
+    from ..robot.configuration import follower_limits, followers_at_limits, joint_values
     from ..solvers.message import unweighted
 
     robot = result.robot
@@ -355,9 +355,12 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
     at = joint_values(robot, result.q)
-    for name, tie in robot.mimic_joints.items():
+    held = {name for names in followers_at_limits(robot, result.q).values() for name in names}
+    for name, ends in follower_limits(robot).items():
         kind = kind_of(robot, name)
-        joints.add_row(name, number(at[name], kind, deg), unit(kind, deg), "", "", f"follows {tie.leader}", style="dim")
+        value, *shown = (number(x, kind, deg) for x in (at[name], *ends))
+        follows = f"follows {robot.mimic_joints[name].leader}" + ", at limit" * (name in held)
+        joints.add_row(name, value, unit(kind, deg), *shown, follows, style="dim")
     show(joints)
     if robot.by_tip:
         relative = options.get("relative_to") or {}

@@ -9,7 +9,8 @@ import pinocchio as pin
 
 from ..errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
 from .base import unfold
-from .formats.mimic import Tie
+from .formats.mimic import Tie, mimic_limits
+from .probe import NO_LIMIT
 from .ros import read_joint_state
 
 
@@ -76,6 +77,25 @@ def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
     for j, leader in zip(model.mimicking_joints, model.mimicked_joints, strict=True):
         tie = model.joints[j].extract()
         yield model.names[j], Tie(model.names[leader], tie.scaling, tie.offset)
+
+
+def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
+    """Return the limits [rad or m] that the URDF gives each mimic joint that follows a joint of q; infinite where there is none."""
+    own = mimic_limits(robot.urdf) if robot.urdf else {}
+    ends = {joint: own[joint][3:] if joint in own else (-math.inf, math.inf) for joint in robot.mimic_joints}
+    return {
+        joint: (low if low > -NO_LIMIT else -math.inf, high if high < NO_LIMIT else math.inf)
+        for joint, (low, high) in ends.items()
+    }
+
+
+def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
+    """Return the mimic joints that are at a limit of their own at a checked q (n,), within 1e-9, by the joint they follow."""
+    at, found = joint_values(robot, q), {}
+    for joint, (low, high) in follower_limits(robot).items():
+        if min(at[joint] - low, high - at[joint]) <= 1e-9:
+            found.setdefault(robot.mimic_joints[joint].leader, []).append(joint)
+    return found
 
 
 def simple_joints(model: pin.Model) -> Iterator[tuple[str, Any]]:

@@ -60,8 +60,9 @@ class MotorMap:
             named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()} | dict(motors)
             missing = [joint for joint in self.robot.joint_names if joint not in named]
             if missing:
+                others = [name for name in motors if str(name).removesuffix(SUFFIX) not in self.robot.joint_names]
                 raise InvalidConfiguration(
-                    f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], named)}"
+                    f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], others)}"
                 )
             motors = [named[joint] for joint in self.robot.joint_names]
         values = floats(motors, "motor positions must be numbers", InvalidConfiguration)

@@ -3,9 +3,10 @@
 CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or three angles, and t [s] where times are requested, in any order.
 Other columns are ignored, unless they have names of a rotation. The angles are roll,pitch,yaw about x, y and z (also called
 rx,ry,rz), or a,b,c one after another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas,
-decimals may be written with a comma. Blank lines are skipped; a warning names those that rows follow. NPZ: `xyz` (N, 3), optionally
-`quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under
-these names, or just a list of targets, which may be ROS messages (see `ros.read_pose`), or a PoseArray or nav_msgs/Path.
+decimals may be written with a comma. Excel's first line sep=; is skipped, and so are blank lines; a warning names those that rows
+follow. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N, 4, 4) or (N,
+3). JSON: an object with lists under these names, or just a list of targets, which may be ROS messages (see `ros.read_pose`), or a
+PoseArray or nav_msgs/Path.
 
 For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or (N,
 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without data
@@ -15,6 +16,7 @@ is free.
 import csv
 import logging
 import math
+import re
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
@@ -25,7 +27,7 @@ import numpy as np
 from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
 from ..files import without_mark
 from .pose_arrays import QUAT, quaternion_poses, read_arrays, read_tip_arrays, require_increasing, row_numbers, short
-from .rotation import euler_matrix, rotation_columns
+from .rotation import euler_axes, euler_matrix, rotation_columns
 
 LINES = 16384  # number of rows read at a time
 POSITION, RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
@@ -41,8 +43,8 @@ class Convention(NamedTuple):
     """The units and the order of angles in a file of poses.
 
     length_unit: unit of positions, one of LENGTHS. deg: whether angles are in degrees, else radians. euler: the axes of
-    the three rotations, which follow one another about the already rotated axes; None means "zyx" (roll, pitch and yaw
-    as in URDF).
+    the three rotations, which follow one another about the already rotated axes (intrinsic, SciPy's capitals); None means
+    "zyx" (roll, pitch and yaw as in URDF).
     """
 
     length_unit: str = "m"
@@ -50,15 +52,10 @@ class Convention(NamedTuple):
     euler: str | None = None
 
     def check(self) -> "Convention":
-        """Return the convention itself. Raises InvalidOption for an unknown unit or sequence of axes."""
+        """Return the convention with its axes in lower case. Raises InvalidOption for an unknown unit or sequence of axes."""
         if self.length_unit not in LENGTHS:
             raise InvalidOption(f"the unit of length is {', '.join(LENGTHS)}, not {self.length_unit!r:.20}")
-        axes = self.euler
-        if axes is not None and (len(axes) != 3 or not {*axes} <= {*"xyz"} or axes[0] == axes[1] or axes[1] == axes[2]):
-            raise InvalidOption(
-                f"euler names three axes of which no two neighbours are the same, such as zyx or zyz, not {axes!r:.20}"
-            )
-        return self
+        return self if self.euler is None else self._replace(euler=euler_axes(self.euler))
 
 
 class PoseRows(NamedTuple):
@@ -85,7 +82,8 @@ def read_poses(
     ROS messages in it must be given, "" for any. besides: other columns, such as joints. Raises
     InvalidTarget, which names the line (for a CSV also while blocks are read), and InvalidOption.
     """
-    scale = LENGTHS[given.check().length_unit]
+    given = given.check()
+    scale = LENGTHS[given.length_unit]
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
@@ -182,17 +180,19 @@ def _blank(line: str) -> bool:
 
 
 def _read_top(path: Path, first: str) -> _Top:
-    """Read the first line that is not blank. Raises InvalidTarget if there is none; first: an example of it."""
+    """Read the first line that is not blank, nor Excel's sep=;. Raises InvalidTarget if there is none; first: an example of it."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        lines = enumerate(_lines(stream, path.name), 1)
-        k, line = next(((k, line) for k, line in lines if not _blank(line)), (0, ""))
-        filled = any(not _blank(line) for _, line in lines)
+        lines = ((k, line) for k, line in enumerate(_lines(stream, path.name), 1) if not _blank(line))
+        k, line = next(lines, (0, ""))
+        mark = re.fullmatch(r'"?sep=([,;|\t])"?\s*', line, re.IGNORECASE)
+        k, line = next(lines, (0, "")) if mark else (k, line)
+        filled = next(lines, None) is not None
     if not k:
         found = "has only blank lines" if path.stat().st_size else "is empty"
         raise InvalidTarget(
             f"'{path.name}' {found}; its first line names the columns, such as {first}, and each line below it is a row of numbers"
         )
-    mark = max(MARKS, key=line.count)
+    mark = mark[1] if mark else max(MARKS, key=line.count)
     return _Top([without_mark(cell.strip()) for cell in next(csv.reader([line], delimiter=mark), [])], mark, k, filled)
 
 

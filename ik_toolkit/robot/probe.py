@@ -105,6 +105,11 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     return JointPath(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
+def _turns(model: pin.Model, j: int) -> bool:
+    """Return whether joint j turns, so that its unit is rad and not m."""
+    return bool(np.asarray(model.joints[j].createData().S).reshape(6)[3:].any())
+
+
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
     """Return the range of a leader q for which its follower ratio * q + offset, as rounded, stays inside low..high."""
 
@@ -131,23 +136,25 @@ def limits(
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
     lower, upper = own_lower.copy(), own_upper.copy()
-    narrowed: dict[int, list[str]] = {}
+    narrowed: dict[int, list[tuple[str, float, float]]] = {}
     for joint, (_, ratio, offset, low, high) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
         if i is None or min(-low, high) >= NO_LIMIT:
             continue
         first, last = _leader_range(ratio, offset, low, high)
-        narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")
+        words = f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}"
+        narrowed.setdefault(i, []).append((words, first, last))
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
         if 0.0 < lower[i] - upper[i] <= rounding:  # both limits are equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
-    turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
+    turns = [_turns(model, j) for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():
         own = f"lower limit {own_lower[i]:g}, upper limit {own_upper[i]:g}"
         if own_lower[i] > own_upper[i]:
             own += f"; {reversed_advice(own_lower[i], own_upper[i], bool(turns[i]))}"
-        by = f"; the limits of the joints that mimic it allow: {', '.join(narrowed[i])}" if i in narrowed else ""
+        allow = ", ".join(words for words, _, _ in narrowed.get(i, ()))
+        by = f"; the limits of the joints that mimic it allow: {allow}" if allow else ""
         raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
     notes = []
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
@@ -166,6 +173,12 @@ def limits(
             notes.append(
                 f"joint '{name}' has limits of {low:g} to {high:g} {unit}, more than is computed with; it is kept within "
                 f"{lower[i]:g} to {upper[i]:g} {unit}"
+            )
+        if (f"{low:g}", f"{high:g}") != (f"{own_lower[i]:g}", f"{own_upper[i]:g}"):
+            by = [words for words, first, last in narrowed[i] if first > own_lower[i] or last < own_upper[i]]
+            notes.append(
+                f"joint '{name}' is kept within {lower[i]:g} to {upper[i]:g} {unit}, less than its own limits; the limits of "
+                f"the joints that mimic it allow: {', '.join(by)}"
             )
     return lower, upper, notes
 
@@ -188,18 +201,26 @@ def kinds(chain: Chain) -> tuple[str, ...]:
     )
 
 
-def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
-    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
+def speed_limits(
+    model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]
+) -> tuple[np.ndarray, list[str]]:
+    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none, and notes.
 
-    The limit of a leader is lowered so that each of its `followers` (see `mimic_speeds`) keeps its own limit.
+    The limit of a leader is lowered so that each of its `followers` (see `mimic_speeds`) keeps its own limit, which is noted.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
-    most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
+    own = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
+    most, slowest = own.copy(), {}
     for joint, (ratio, speed) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
-        if i is not None:
-            most[i] = min(most[i], speed / abs(ratio))
-    return most
+        if i is not None and speed / abs(ratio) < most[i]:
+            most[i], slowest[i] = speed / abs(ratio), f"'{joint}', which mimics it, has a limit of {speed:g}"
+    notes = []
+    for i, why in slowest.items():
+        unit = "rad/s" if _turns(model, path.leaders[i]) else "m/s"
+        if f"{most[i]:g}" != f"{own[i]:g}":
+            notes.append(f"joint '{model.names[path.leaders[i]]}' moves at {most[i]:g} {unit} at most: {why}")
+    return most, notes
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:

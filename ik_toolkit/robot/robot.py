@@ -233,7 +233,8 @@ class Robot(Joints):
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
         lower, upper, notes = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        self._note(notes)
+        self.velocity_limits, slower = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
+        self._note([*notes, *slower])
         ends = dict(zip(self.joint_names, upper.tolist(), strict=True))
         free = [joint for joint in self._slides if math.isinf(ends.get(joint, 0.0))]
         if free:
@@ -241,7 +242,6 @@ class Robot(Joints):
         for i, joint in enumerate(self.joint_names):
             lower[i], upper[i] = self._ranges.get(joint, (lower[i], upper[i]))
         self.lower, self.upper = lower, upper
-        self.velocity_limits = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
         self.home = start = mid_range(lower, upper, ~based)
         self._ids = base_id, tip_id

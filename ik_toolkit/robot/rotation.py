@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..errors import InvalidTarget, floats
+from ..errors import InvalidOption, InvalidTarget, floats
 
 
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -53,6 +53,25 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def euler_axes(order: Any) -> str:
+    """Return the axes of three rotations, such as "zyx", each about an already rotated axis, in lower case.
+
+    All capitals mean the same, as in SciPy, whose lower case means fixed axes. Raises InvalidOption.
+    """
+    axes = str(order).lower()
+    if (
+        str(order) not in (axes, axes.upper())
+        or len(axes) != 3
+        or not {*axes} <= {*"xyz"}
+        or axes[1] in (axes[0], axes[2])
+    ):
+        raise InvalidOption(
+            "euler names three axes of which no two neighbours are the same, such as zyx or zyz (or ZYX, which is the same: they "
+            f"move with the body; for fixed axes give the reverse order), not {order!r:.20}"
+        )
+    return axes
 
 
 def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:

@@ -41,9 +41,9 @@ class StepStatus(Enum):
     LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target, or it is on its way to a target that
     jumped. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
     collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a joint
-    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones. JUMPED: a joint
-    moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite, or measured
-    joints that are far off do not agree, are not finite or are outside the limits.
+    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones, or not finite.
+    JUMPED: a joint moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite,
+    or measured joints that are far off do not agree, are not finite or are outside the limits.
     """
 
     OK = "ok"
@@ -81,7 +81,7 @@ class Outcome(NamedTuple):
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
     finite: bool  # whether all numbers of the target were finite
-    lag: float  # largest difference between measured and commanded joints, as a share of the allowed difference
+    lag: float  # largest difference between measured and commanded joints, as a share of the allowed one; infinite if not finite
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
     # On a move to another posture: names of the joints whose limits caused it. On the way to a target that jumped: the way chosen.
@@ -207,7 +207,7 @@ class Step:
             before, after = self._sizes()
             how = "the target and coming nearer" if after < before else "a target that moves otherwise than foreseen"
             return f"{self._left()} from {how}" if self._away() else ""
-        parts = []
+        parts, unread = [], "" if o.lag < math.inf else "the measured joints are not finite"
         if o.resynced:
             parts.append("the measured joints were too far from the commanded ones: restarted from the measurement")
         elif status is StepStatus.JUMPED:
@@ -215,12 +215,12 @@ class Step:
             move = self.q[i] - o.before[i] * o.by.robot.chain.unit[i]
             parts.append(f"joint {o.by.robot.joint_names[i]} moved {move:.3g} in one step")
         if status is StepStatus.HELD:
-            doubt = "the measured joints leap about, or are outside their limits"
+            doubt = unread or "the measured joints leap about, or are outside their limits"
             doubted = o.lag > 1.0 and not o.resynced
             what = "the target is not finite" if not o.finite else doubt if doubted else "the step is not finite"
             return "; ".join([*parts, f"{what}: braking and holding"])
         if status is StepStatus.FOLLOWING_ERROR:
-            parts.append("the measured joints are far from the commanded ones")
+            parts.append(unread or "the measured joints are far from the commanded ones")
         if self.position_error > FAR_AWAY * o.by.robot.reach:
             parts.append("were millimetres meant?")
         if status is StepStatus.AT_LIMIT:

@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..kernel.records import ANSWER, AT
+from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, length
 from .decide import blocked
 from .options import GROUPS
@@ -173,6 +174,15 @@ def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     return [(position, angle) for _, position, angle in each], True
 
 
+def _at_limits(result: Any) -> str:
+    """Name the joints at a limit, each with the mimic joints that keep it there."""
+    held = followers_at_limits(result.robot, result.q) if result.limited_joints else {}
+    return ", ".join(
+        joint + (f" with its follower {' and '.join(held[joint])}" if joint in held else "")
+        for joint in result.limited_joints
+    )
+
+
 def _starts(count: int) -> str:
     return f"{count} start{'s' * (count > 1)}"
 
@@ -192,7 +202,7 @@ def _at_each_tip(result: Any) -> str:
 
 def _closed_form_says(result: Any, left: str) -> str:
     row, robot = result._of.row, result.robot
-    joints = ", ".join(result.limited_joints)
+    joints = _at_limits(result)
     beyond = length(float(row[AT.excess]), 4)
     slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
     return CLOSED_FORM_SAYS[result.status].format(
@@ -226,7 +236,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
     if status == Status.STALLED:  # A published method may end elsewhere than at the best configuration it found.
         return f"no further progress{at}: the search came to rest, and the nearest it came to the target is {left}"
     if status == Status.LIMIT_BLOCKED:
-        joints = ", ".join(result.limited_joints)
+        joints = _at_limits(result)
         return f"joint limits ({joints}) block the target, which is reached without them; closest {left} after {_starts(starts)}"
     if status == Status.ITERATION_LIMIT and starts > 1:
         return f"closest {left} after {starts} starts, each cut off by the limit of iterations"

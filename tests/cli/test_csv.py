@@ -2,9 +2,13 @@
 
 import csv
 import json
+import re
+import shlex
 
 import numpy as np
 import pytest
+
+from ik_toolkit.robot.library import shipped_robots
 
 
 def rows_of(file):
@@ -44,3 +48,19 @@ def test_what_has_no_table_is_refused(run, tmp_path):
     assert code == 2 and "--csv writes the solutions of --all" in err
     code, _, err = run("solvers", "lm", "--csv", tmp_path / "one.csv")
     assert code == 2 and "leave out the name" in err
+
+
+@pytest.mark.parametrize("more", [(), ("--deg", "--base-xyz", "-1 0 0", "--parameters", "joints", "--tip", "tool")])
+def test_the_command_that_follows_suggested_poses_can_be_typed(run, tmp_path, more):
+    """It names the robot as it was given, the file, and the options that say how both are read."""
+    arm, file = tmp_path / "my arm.urdf", tmp_path / "poses.csv"
+    arm.write_text(shipped_robots()["inspection_7dof"].path.read_text())
+    code, _, err = run("calibrate", arm, "--suggest", 12, "-o", file, *more)
+    told = re.search(r"add the columns x,y,z as measured, then: .*?(calibrate .*)", err)
+    rows = [{**row, **{axis: row[f"drawn_{axis}"] for axis in "xyz"}} for row in rows_of(file)]
+    with file.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    assert code == 0 and told and run(*shlex.split(told[1]))[0] == 0
+    assert all(word in told[1] for word in more if word.startswith("--"))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from folders import ROOT
 from rich.cells import cell_len
+from robots import joint
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
@@ -85,11 +86,44 @@ def test_check_finds_nothing_or_says_what(run, tmp_path):
     file.write_text(
         file.read_text().replace("<parent", "\n<origin rpv='0 0 1'/><parent").replace("link='b'", "link='x'")
     )
-    file.write_text(file.read_text().replace("<joint", "<link name='x'/><joint"))
+    file.write_text(file.read_text().replace("<joint", "<link name='x'/><joint").replace("fixed", "continuous"))
     code, out, err = run("check", file)
     assert code == 0 and "rpv=" in out and "warning       2" in out and not err
     (found,) = json.loads(run("check", file, "--json")[1])["findings"]
     assert found["line"] == 2 and found["at_load"] and "rpv= of <origin>" in found["problem"]
+
+
+def bent(leader="elbow", lift=(0.0, 0.6), own=(-3.0, 3.0), x=0.4):
+    """Return a URDF of a lift and an elbow, which a last joint follows."""
+    mimic = f'<mimic joint="{leader}" multiplier="-0.5" offset="0.1"/>'
+    text = joint("lift", "prismatic", "base", "carriage", limits=lift) + joint("elbow", "revolute", "carriage", "arm")
+    text += joint("follow", "revolute", "arm", "tool", xyz=f"{x} 0 0", limits=own, mimic=mimic)
+    return f'<robot name="own"><link name="base"/>{text}</robot>'
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"leader": "elbo"}, {"leader": "follow"}, {"lift": (0.6, 0.0)}, {"x": 400}, {"own": (-0.2, 0.2)}],
+)
+def test_check_says_what_loading_says(run, tmp_path, changed):
+    """What cannot be loaded is an error, with the loader's sentence; what loading notes is a finding, and nothing else is said."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(bent(**changed))
+    code, out, err = run("check", file, "--json")
+    told = json.loads(out)
+    problems = [one["problem"] for one in told["findings"]]
+    loaded = run("solve", file, "--xyz", "0.4", "0", "0.3", "--json")
+    assert not err and told["loadable"] == (code == 0) == (loaded[0] != 2)
+    if code:
+        assert told["errors"] == 1 and loaded[2].strip() == f"ik: {problems[0]}"
+    else:
+        assert problems == list(ik.Robot.load(file).notes) and bool(problems) == bool(changed)
+
+
+def test_check_refuses_what_has_nothing_to_move(run, tmp_path):
+    file = tmp_path / "table.urdf"
+    file.write_text("<robot name='table'><link name='top'/></robot>")
+    assert run("check", file)[0] == 1 and run("info", file)[0] == 2
 
 
 def test_check_expands_xacro(run, tmp_path):

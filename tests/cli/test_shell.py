@@ -191,14 +191,16 @@ def test_mimic_joints_are_shown(run, tmp_path):
         given = np.degrees(q) if more else q  # all joints of this q turn
         _, out, _ = run("solve", file, "--from-q", ",".join(map(str, given)), "--q0", ",".join(map(str, given)), *more)
         rows = {row.split()[0]: row.split() for row in out.splitlines() if row.split()}
-        assert float(rows["j2"][1]) == pytest.approx(angle, abs=1e-3) and rows["j2"][2:] == [
-            more[0][2:] if more else "rad",
-            "follows",
-            "j1",
-        ]
-        assert float(rows["j4"][1]) == pytest.approx(at["j4"], abs=1e-5) and rows["j4"][2:] == ["m", "follows", "j0"]
-    assert "j2 = -0.6 j1 + 0.200000 rad, j4 = 0.1 m/rad j0 + 0.050000 m" in run("info", file)[1]
-    assert "j2 = -0.6 j1 + 11.4592 deg, j4 = 0.00174533 m/deg j0 + 0.050000 m" in run("info", file, "--deg")[1]
+        assert float(rows["j2"][1]) == pytest.approx(angle, abs=1e-3)
+        own = ["deg", "-57.2958", "57.2958"] if more else ["rad", "-1.000000", "1.000000"]
+        assert rows["j2"][2:] == [*own, "follows", "j1"]
+        assert float(rows["j4"][1]) == pytest.approx(at["j4"], abs=1e-5)
+        assert rows["j4"][2:] == ["m", "-0.300000", "0.300000", "follows", "j0"]
+    told, turned = (" ".join(run("info", file, *more)[1].split()) for more in ((), ("--deg",)))
+    assert "j2 = -0.6 j1 + 0.200000 rad, limits -1.000000 to 1.000000 rad; j4 = 0.1 m/rad j0 + 0.050000 m" in told
+    assert "j2 = -0.6 j1 + 11.4592 deg, limits -57.2958 to 57.2958 deg; j4 = 0.00174533 m/deg j0 + 0.050000 m" in turned
     told = json.loads(run("info", file, "--json")[1])["mimic_joints"]
-    assert told["j4"] == {"leader": "j0", "ratio": 0.1, "offset": 0.05, "kind": "prismatic"}
+    assert told["j4"] == {
+        "leader": "j0", "ratio": 0.1, "offset": 0.05, "kind": "prismatic", "lower": -0.3, "upper": 0.3,
+    }  # fmt: skip
     assert json.loads(run("info", "hydrolek_7w", "--json")[1])["mimic_joints"] == {}

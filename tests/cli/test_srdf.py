@@ -43,3 +43,11 @@ def test_a_margin(run, tmp_path):
     near = json.loads(run(*words, "--margin", 0.05, "--json")[1])
     assert near["status"] == "COLLISION" and near["collision"][1] == "sphere_1"
     assert run(*words, "--margin", -1)[0] == 2
+
+
+def test_check_lists_what_an_srdf_beside_the_robot_says_wrongly(run, tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.srdf").write_text('<robot name="arm"><group name="both"><group name="nobody"/></group></robot>')
+    code, out, err = run("check", tmp_path / "arm.urdf", "--json")
+    said = {one["element"]: one["problem"] for one in json.loads(out)["findings"]}
+    assert code == 0 and not err and "'nobody', which does not exist" in said["SRDF 'arm.srdf'"]

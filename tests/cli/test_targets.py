@@ -80,6 +80,19 @@ def test_every_form_of_file_gives_the_answers_of_a_batch(poses, tmp_path, capsys
             assert np.array_equal(q, many.q)
 
 
+def test_axes_of_angles_are_said_to_move_with_the_body(poses, tmp_path, capsys):
+    """Fixed axes in the reverse order are the same rotation, and the notice gives it."""
+    rpy = np.array([matrix_rpy(T[:3, :3]) for T in poses[:3]])
+    file = write(tmp_path / "poses.csv", "x,y,z,rx,ry,rz", np.c_[poses[:3, :3, 3], rpy])
+    assert run("--targets", file, "--euler", "ZYX", "-o", tmp_path / "a.csv") == 0
+    said = capsys.readouterr().err
+    assert "about z, y, x one after another, axes that move with the body (SciPy's 'ZYX')" in said
+    assert "for fixed axes give the reverse order, --euler xyz" in said
+    assert np.abs([load(ARM).fk(q).homogeneous for q in solved(tmp_path / "a.csv")[0]] - poses[:3]).max() < 1e-5
+    assert run("--targets", file, "--euler", "Zyx", "-o", tmp_path / "a.csv") == 2
+    assert "or ZYX, which is the same" in capsys.readouterr().err
+
+
 def test_degrees_are_for_the_angles_of_the_file(poses, tmp_path):
     rpy = np.array([matrix_rpy(R) for R in poses[:5, :3, :3]])
     write(tmp_path / "rad.csv", "x,y,z,roll,pitch,yaw", np.c_[poses[:5, :3, 3], rpy])

@@ -10,6 +10,7 @@ import ik_toolkit as ik
 from ik_toolkit import cli
 from ik_toolkit.errors import InvalidOption, ModelError, RobotNotFound
 from ik_toolkit.robot.formats.convert import convert
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.formats.urdf_write import numbers_text
 
 TRIANGLE = (DATA / "bad_urdf" / "triangle.stl").read_bytes()
@@ -41,6 +42,38 @@ def test_meshes_are_relative_below_the_new_file_and_absolute_elsewhere(package, 
     assert "kept" in beside.text
     robot, again = ik.Robot.load(file), ik.Robot.load(beside.text)
     assert again.name == "arm" and np.array_equal(again.fk([0.3]).homogeneous, robot.fk([0.3]).homogeneous)
+
+
+def test_the_folders_that_the_meshes_of_a_written_robot_need_are_named(package, tmp_path, caplog, capsys):
+    """By `ik convert`, and by `robot.write`, which calibration uses: with these folders all meshes are read, without them not."""
+    mesh = "".join(
+        f'<{kind}><geometry><mesh filename="{{{k}}}"/></geometry></{kind}>'
+        for k, kind in enumerate(("visual", "collision"))
+    )
+    names = "package://my_arm/meshes/look/a.stl", "package://my_arm/meshes/solid/a.stl", "package://hand/b.stl"
+    for name in names:
+        file = tmp_path / name.removeprefix("package://")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(TRIANGLE)
+    (tmp_path / "hand" / "package.xml").write_text("<package><name>hand</name></package>")
+    source, new = package / "urdf" / "arm.urdf", tmp_path / "new" / "arm.urdf"
+    source.write_text(ARM.replace(SHAPES, mesh.format(*names[:2]) + mesh.format(*names[1:])))
+    new.parent.mkdir()
+    robot = ik.Robot.load(source)
+    assert not caplog.messages
+    robot.write(new)
+    needed = [str(tmp_path / "hand"), str(package / "meshes")]
+    (said,) = caplog.messages
+    assert (
+        said.startswith("arm.urdf: meshes lie outside") and " ".join(f"--package-dir {one}" for one in needed) in said
+    )
+    assert len(check_urdf(new)) == 4 and not check_urdf(new, needed) and len(check_urdf(new, needed[1:])) == 1
+    assert cli.main(["convert", str(source), "-o", str(new)]) == 0
+    assert said.removeprefix("arm.urdf: ") in capsys.readouterr().err
+    caplog.clear()
+    robot.write(package / "urdf" / "again.urdf")  # in the package no folder of its meshes has to be given
+    (said,) = caplog.messages
+    assert f"need --package-dir {needed[0]} (" in said and not check_urdf(package / "urdf" / "again.urdf", needed[:1])
 
 
 def test_xacro_becomes_plain_urdf_in_a_shell(package, tmp_path, capsys):

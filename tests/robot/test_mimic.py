@@ -193,3 +193,26 @@ def test_a_follower_that_holds_its_leader_is_said_when_the_robot_is_loaded():
     robot = ik.Robot.load(text, tip="b")
     assert robot.lower[0] == robot.upper[0] == 0.0
     assert any("holds joint 'lead', which it mimics" in note for note in robot.notes)
+
+
+def test_a_leader_that_its_follower_narrows_is_named_with_it():
+    """In the notes, and where a solve ends at that limit; followers that narrow nothing are not."""
+    tie = '<mimic joint="lead" multiplier="{}"/>'
+    text = '<robot name="r"><link name="o"/>' + joint("lead", "revolute", "o", "a", xyz="0 0 0", limits=(-1.5, 1.5))
+    text += joint("tight", "revolute", "a", "b", axis="1 0 0", limits=(-9.0, 0.5), mimic=tie.format(2))
+    text += joint("wide", "revolute", "a", "c", axis="0 1 0", limits=(-9.0, 9.0), mimic=tie.format(-1))
+    text += joint("end", "fixed", "a", "tip", xyz="1 0 0") + "</robot>"
+    robot = ik.Robot.load(text, tip="tip")
+    within, fast = robot.notes
+    assert (
+        "joint 'lead' is kept within -1.5 to 0.25 rad" in within and "'tight' (-9 to 0.5) from -4.5 to 0.25" in within
+    )
+    assert "'wide'" not in within
+    assert fast == "joint 'lead' moves at 1 rad/s at most: 'tight', which mimics it, has a limit of 2"
+    assert robot.velocity_limits[0] == 1.0
+    assert "joint limits (lead with its follower tight) block" in ik.solve(robot, [0.0, 1.0, 0.0], solver="lm").message
+    assert "joint limits (lead) block" in ik.solve(robot, [-1.0, 0.0, 0.0], solver="lm").message
+    loose = text.replace('upper="0.5"', 'upper="9"').replace(
+        'velocity="2"/><mimic joint="lead" multiplier="2"', 'velocity="4"/><mimic joint="lead" multiplier="2"'
+    )
+    assert ik.Robot.load(loose, tip="tip").notes == ()

@@ -61,5 +61,11 @@ def test_mistakes_name_the_joint():
         ik.MotorMap("scara")
     with pytest.raises(InvalidConfiguration, match="slide"):
         ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow": 0.0, "spin": 0.0})
+    with pytest.raises(
+        InvalidConfiguration, match=r"for joint slide, spin\. Did you mean 'slid.pos'\? Available: slid\.pos, grip\.$"
+    ):
+        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "slid.pos": 0.0, "grip": 1.0})
+    with pytest.raises(InvalidConfiguration, match=r"for joint slide\.$"):
+        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "spin": 0.0})
     with pytest.raises(InvalidConfiguration, match="4 finite numbers"):
         ik.MotorMap(robot).to_q([0.0, 0.0, math.nan, 0.0])

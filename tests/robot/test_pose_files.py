@@ -271,3 +271,16 @@ def test_large_and_deep_json_is_refused_before_it_takes_memory(tmp_path):
     file.write_text("[" * 100_000)
     with pytest.raises(InvalidTarget, match="nested too deep"):
         read_poses(file, "targets")
+
+
+@pytest.mark.parametrize("top", ["sep=;\n", "SEP=;\r\n", '"sep=;"\n\n', "\ufeffsep=;\n"])
+def test_the_line_in_which_excel_names_the_separator_is_skipped(tmp_path, top):
+    file = tmp_path / "poses.csv"
+    file.write_text(top + "x;y;z\n0,5;1;2\n", encoding="utf-8")
+    assert np.concatenate([block.poses for block in read_poses(file, "targets")[1]]).tolist() == [[0.5, 1.0, 2.0]]
+    file.write_text(top + "x;y;z\n0,5;1;\n", encoding="utf-8")
+    with pytest.raises(InvalidTarget, match=f"line {top.count(chr(10)) + 2}: the cell of z is empty"):
+        list(read_poses(file, "targets")[1])
+    file.write_text(top)
+    with pytest.raises(InvalidTarget, match="names the columns"):
+        read_poses(file, "targets")

@@ -68,7 +68,22 @@ def test_angles_about_other_axes_and_lengths_in_other_units(tmp_path, euler, col
     assert np.abs(T[:3, 3] - [0.1, -0.2, 0.3005]).max() < 1e-15
 
 
-@pytest.mark.parametrize("euler", ["zy", "zzx", "abc", "zyxz", ""])
+@pytest.mark.parametrize(("euler", "columns"), [*TURNS, ("xzy", "rx,ry,rz"), ("yxy", "a,b,c")])
+def test_axes_move_with_the_body_as_capitals_do_in_scipy(tmp_path, euler, columns):
+    """And the reverse order reads fixed axes, SciPy's lower case, in columns named by axis, or in c,b,a."""
+    rotation = pytest.importorskip("scipy.spatial.transform").Rotation
+    file, angles = tmp_path / "poses.csv", [0.3, -0.4, 0.5]
+    by_axis = {} if columns == "a,b,c" else dict(zip("xyz", angles, strict=True))
+    file.write_text(f"x,y,z,{columns}\n1,2,3,0.3,-0.4,0.5\n")
+    moving = rotation.from_euler(euler.upper(), [by_axis[axis] for axis in euler] if by_axis else angles).as_matrix()
+    for spelled in (euler, euler.upper()):
+        assert np.abs(poses_of(file, euler=spelled)[0, :3, :3] - moving).max() < 1e-15
+    file.write_text(f"x,y,z,{columns if by_axis else 'c,b,a'}\n1,2,3,0.3,-0.4,0.5\n")
+    fixed = rotation.from_euler(euler, [by_axis[axis] for axis in euler] if by_axis else angles).as_matrix()
+    assert np.abs(poses_of(file, euler=euler[::-1])[0, :3, :3] - fixed).max() < 1e-15
+
+
+@pytest.mark.parametrize("euler", ["Zyx", "zy", "zzx", "abc", "zyxz", ""])
 def test_a_sequence_of_axes_that_is_none(tmp_path, euler):
     file = tmp_path / "poses.csv"
     file.write_text("x,y,z\n1,2,3\n")

@@ -133,4 +133,5 @@ def test_wrong_measurements_move_nothing_beyond_a_limit(wrong, length):
         if bad:
             assert step.status in (StepStatus.FOLLOWING_ERROR, StepStatus.HELD)
             assert k == 20 or (step.status is StepStatus.HELD and "measured joints" in step.reason)
+            assert ("the measured joints are not finite" in step.reason) == (wrong == "nan")
     assert np.abs(step.q - q0).max() < 1e-3 and step.status is StepStatus.OK

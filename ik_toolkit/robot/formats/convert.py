@@ -2,8 +2,10 @@
 corrections from a calibration.
 """
 
+import logging
+import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,25 +13,42 @@ import numpy as np
 
 from ...errors import ModelError
 from ...files import as_output, write_whole
-from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
+from ..geometry.meshes import find_mesh, lies_in, mesh_folders, mesh_packages
 from ..load import read_source
 from ..rotation import rpy_matrix
 from .urdf import plain_origin
 from .urdf_model import build_model
 from .urdf_write import add_joint, add_link, numbers_text, origin, to_text
 
+SHOWN = 3  # number of missing meshes that a message names
+
 
 class Converted(NamedTuple):
     """A plain URDF made from another description.
 
     name is the robot's; meshes maps each mesh name of the description to the name in the text; lost maps each mesh that
-    was not found to the reason.
+    was not found to the reason. outside lists the folders without which meshes of the saved text are not read.
     """
 
     name: str
     text: str
     meshes: dict[str, str]
     lost: dict[str, str]
+    outside: tuple[str, ...] = ()
+
+    def notes(self) -> list[str]:
+        """Return a sentence each on meshes that were not found and on those that the saved text finds only with package_dirs."""
+        found = []
+        if self.lost:
+            some = "; ".join(f"'{name}' {why}" for name, why in list(self.lost.items())[:SHOWN])
+            more = f"; and {len(self.lost) - SHOWN} more" if len(self.lost) > SHOWN else ""
+            found.append(f"meshes that keep their names (--package-dir names their folder): {some}{more}")
+        if self.outside:
+            given = " ".join(f"--package-dir {folder}" for folder in self.outside)
+            found.append(
+                f"meshes lie outside the folder of the new file; its pictures and collisions need {given} (package_dirs= in Python)"
+            )
+        return found
 
 
 def convert(
@@ -51,12 +70,14 @@ def convert(
 def write_urdf(robot: Any, path: str | Path) -> Path:
     """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
 
-    Changes of base, tip and limits, and joints locked since loading, are not written. Raises ModelError if the robot was made
-    without a URDF, InvalidOption, OSError.
+    Changes of base, tip and limits, and joints locked since loading, are not written. The log says which package_dirs the
+    meshes of the new file need. Raises ModelError if the robot was made without a URDF, InvalidOption, OSError.
     """
     file = as_output(path, "a robot", ".urdf", ".xml")
     made = _plain(robot.name, _text_of(robot), robot.path, robot.package_dirs, file.parent)
     write_whole(file, made.text)
+    for note in made.notes():
+        logging.getLogger("ik_toolkit").warning("%s: %s", file.name, note)
     return file
 
 
@@ -149,4 +170,18 @@ def _plain(
     for mesh, name in zip(elements, names, strict=True):
         mesh.set("filename", meshes.get(name, name))
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, "unicode") + "\n"
-    return Converted(robot_name, text, meshes, lost)
+    return Converted(robot_name, text, meshes, lost, () if home is None else _outside(meshes.values(), folders, home))
+
+
+def _outside(files: Iterable[str], folders: Sequence[Path], home: Path) -> tuple[str, ...]:
+    """Return the folders that have to be given for meshes to be read by a URDF in `home`, one for each of `folders` that has any.
+
+    Each is the smallest folder with all meshes of one of `folders`, in which they were found.
+    """
+    allowed = mesh_folders(home / "robot.urdf", ())
+    groups: dict[Path, list[Path]] = {}
+    for file in (Path(name) for name in files if Path(name).is_absolute()):
+        if not lies_in(file, allowed):
+            root = max((folder for folder in folders if lies_in(file, [folder])), key=lambda folder: len(folder.parts))
+            groups.setdefault(root, []).append(file.parent)
+    return tuple(sorted({os.path.commonpath(group) for group in groups.values()}))
