@@ -192,7 +192,8 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
         strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
     """
     places = [model.jointPlacements[j] for j in joints[1:]] + [model.frames[tip].placement]
-    travel = np.where(np.isfinite(strokes), np.abs(strokes), 0.0).max(axis=0).sum()
+    # A stroke of kilometres stands for none, as of a base that drives.
+    travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
     if not (long > 50.0 and mass < 100.0 * long):  # [m], [kg/m]

@@ -229,15 +229,14 @@ def _failure(result: Any, left: str, starts: int) -> str:
         return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
     if status == Status.STALLED and starts > 1:
         return f"closest {left} after {starts} starts"
-    stopped = ", ".join(result.limited_joints)
+    stopped = _at_limits(result)
     at = f" with {stopped} at a limit" if stopped else ""
     if status == Status.STALLED and result._of.plan.descends:
         return f"no further progress{at} at {left} from the target: a local minimum of the error"
     if status == Status.STALLED:  # A published method may end elsewhere than at the best configuration it found.
         return f"no further progress{at}: the search came to rest, and the nearest it came to the target is {left}"
     if status == Status.LIMIT_BLOCKED:
-        joints = _at_limits(result)
-        return f"joint limits ({joints}) block the target, which is reached without them; closest {left} after {_starts(starts)}"
+        return f"joint limits ({stopped}) block the target, which is reached without them; closest {left} after {_starts(starts)}"
     if status == Status.ITERATION_LIMIT and starts > 1:
         return f"closest {left} after {starts} starts, each cut off by the limit of iterations"
     if status == Status.ITERATION_LIMIT:
