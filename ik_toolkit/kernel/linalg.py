@@ -14,6 +14,32 @@ FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its large
 
 
 @inline
+def dot(x, y, n):
+    """Return the scalar product of two vectors, over their first n numbers."""
+    s = 0.0
+    for i in range(n):
+        s += x[i] * y[i]
+    return s
+
+
+@inline
+def add_multiple(x, factor, y, n):
+    """Add `factor` times y to x in place, over their first n numbers."""
+    for i in range(n):
+        x[i] += factor * y[i]
+
+
+@inline
+def apply_transposed(A, x, out):
+    """Write A' x to out (m,), for A (n, m) and x (n,)."""
+    for k in range(A.shape[1]):
+        s = 0.0
+        for i in range(A.shape[0]):
+            s += A[i, k] * x[i]
+        out[k] = s
+
+
+@inline
 def damped(J, w, dq, linear, angular, damping):
     """Write the damped step dq = W J' (J W J' + damping)^-1 e for six errors e = (linear, angular), solved by two 3x3 blocks.
 
