@@ -23,10 +23,42 @@ def dot(x, y, n):
 
 
 @inline
+def any_of(x):
+    """Return whether a number of x is not 0."""
+    for i in range(x.shape[0]):
+        if x[i] != 0.0:
+            return True
+    return False
+
+
+@inline
+def clear(x):
+    """Set all numbers of x to 0."""
+    for i in range(x.shape[0]):
+        x[i] = 0.0
+
+
+@inline
 def add_multiple(x, factor, y, n):
     """Add `factor` times y to x in place, over their first n numbers."""
     for i in range(n):
         x[i] += factor * y[i]
+
+
+@inline
+def dot_of_columns(A, r, c):
+    """Return the scalar product of columns r and c of A."""
+    s = 0.0
+    for i in range(A.shape[0]):
+        s += A[i, r] * A[i, c]
+    return s
+
+
+@inline
+def apply_to(A, x, out):
+    """Write A x to out (n,), for A (n, m) and x (m,)."""
+    for i in range(A.shape[0]):
+        out[i] = dot(A[i], x, A.shape[1])
 
 
 @inline
@@ -142,6 +174,14 @@ def jacobi(a, b, g):
 
 
 @inline
+def rotate(x, y, cosine, sine):
+    """Rotate two vectors in place by a Jacobi rotation."""
+    for i in range(x.shape[0]):
+        u, v = x[i], y[i]
+        x[i], y[i] = cosine * u - sine * v, sine * u + cosine * v
+
+
+@inline
 def make_orthogonal(A, V, m):
     """Write to V (m, m) a rotation for which A V has orthogonal columns, and replace A (n, m) by A V (Hestenes' Jacobi method).
 
@@ -182,40 +222,26 @@ def make_orthogonal(A, V, m):
 
 
 @inner
-def make_rows_orthogonal(A, B, square, first, r, n):
-    """Make r rows of A, from row `first` on, orthogonal by Jacobi rotations, and apply these rotations to the same rows of B.
-
-    Only the first n columns of A count. square receives the squared lengths of these rows of A, at the indices of the rows.
-    """
+def make_rows_orthogonal(A, B, square):
+    """Make the rows of A orthogonal by Jacobi rotations, apply these to the rows of B, and write their squared lengths to square."""
+    m, n = A.shape
     longest = 0.0
-    for k in range(first, first + r):
-        square[k] = 0.0
-        for i in range(n):
-            square[k] += A[k, i] * A[k, i]
+    for k in range(m):
+        square[k] = dot(A[k], A[k], n)
         longest = max(longest, square[k])
     noise = NOISE * NOISE * longest
     for _ in range(SWEEPS):
         rotated = False
-        for k in range(first, first + r - 1):
-            for c in range(k + 1, first + r):
-                a, b, g = square[k], square[c], 0.0
-                for i in range(n):
-                    g += A[k, i] * A[c, i]
+        for k in range(m - 1):
+            for c in range(k + 1, m):
+                a, b, g = square[k], square[c], dot(A[k], A[c], n)
                 if not abs(g) > ORTHOGONAL * math.sqrt(a * b) or min(a, b) <= noise:
                     continue
                 rotated = True
                 cs, sn = jacobi(a, b, g)
-                a, b = 0.0, 0.0
-                for i in range(n):
-                    u, v = cs * A[k, i] - sn * A[c, i], sn * A[k, i] + cs * A[c, i]
-                    a += u * u
-                    b += v * v
-                    A[k, i], A[c, i] = u, v
-                square[k], square[c] = a, b
-                for i in range(B.shape[1]):
-                    u, v = B[k, i], B[c, i]
-                    B[k, i] = cs * u - sn * v
-                    B[c, i] = sn * u + cs * v
+                rotate(A[k], A[c], cs, sn)
+                rotate(B[k], B[c], cs, sn)
+                square[k], square[c] = dot(A[k], A[k], n), dot(A[c], A[c], n)
         if not rotated:
             break
 

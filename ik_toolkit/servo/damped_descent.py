@@ -16,8 +16,9 @@ error falls.
 import math
 
 from ..compile.jit import inner
-from ..kernel.linalg import cholesky, row_product
+from ..kernel.linalg import cholesky, clear, dot
 from ..kernel.null_space import is_wide
+from ..kernel.records import copy
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
@@ -137,16 +138,16 @@ def adapt(turned, error, h, state):
 def descend(law, s, limits, h, state):
     """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
     n, m = s.J.shape
-    heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
+    heavy, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), feedback(law, h), False
     for k in range(m):
-        size += s.e[k] * s.e[k]
         s.ask[k] = gain * s.e[k]
         # The Jacobian and the errors have been multiplied by the weights, so the weights become 1.
         s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
-    mu = state[STATE.share] * heavy * math.sqrt(size)
+    mu = state[STATE.share] * heavy * math.sqrt(dot(s.e, s.e, m))
+    clear(s.x)
+    clear(s.v)
     for i in range(n):
         limited = limited or limits[3, i] < math.inf
-        s.x[i], s.v[i] = 0.0, 0.0
     if limited:
         brake(s, limits, mu, h)
     return mu
@@ -160,14 +161,15 @@ def brake(s, limits, mu, h):
     """
     n, m = s.J.shape
     for i in range(n):
-        slope = row_product(s.J, i, s.e)
+        slope = dot(s.J[i], s.e, m)
         stopped = s.roof[i] <= 0.0 if slope > 0.0 else s.floor[i] >= 0.0
-        for k in range(m):
-            s.V[i, k] = 0.0 if stopped else s.J[i, k]
-    wide = is_wide(s.V, m)
-    gram(s.V, m, wide, mu, s.G)
+        copy(s.J[i], s.free[i])
+        if stopped:
+            clear(s.free[i])
+    wide = is_wide(s.free, m)
+    gram(s.free, m, wide, mu, s.G)
     cholesky(s.G, m if wide else n, 0.0)
-    apply(s.V, m, s.G, s.e, s.y, s.null)
+    apply(s.free, m, s.G, s.e, s.y, s.null)
     for i in range(n):
         if limits[3, i] < math.inf:
             most = approach(abs(s.null[i]), 0.0, 1.0, h, BRISK * limits[3, i], h)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import compiled, dual
-from ..kernel.linalg import TINY, cholesky, cholesky_solve
+from ..kernel.linalg import TINY, apply_transposed, cholesky, cholesky_solve, dot, dot_of_columns
 from ..kernel.null_space import SINGLE, is_wide
 from ..kernel.records import Array
 from .viability import approach
@@ -122,19 +122,11 @@ class Briskness(NamedTuple):
 @dual
 def gram(J, m, wide, extra, G):
     """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal; diagonal entries of zero become 1."""
-    n = J.shape[0]
-    k = m if wide else n
+    k = m if wide else J.shape[0]
     top = 0.0
     for r in range(k):
         for c in range(r + 1):
-            s = 0.0
-            if wide:
-                for i in range(n):
-                    s += J[i, r] * J[i, c]
-            else:
-                for i in range(m):
-                    s += J[r, i] * J[c, i]
-            G[r, c] = s
+            G[r, c] = dot_of_columns(J, r, c) if wide else dot(J[r], J[c], m)
         top = max(top, G[r, r])
     for r in range(k):
         G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
@@ -178,26 +170,13 @@ def factor(J, m, damping, G, y):
 @dual
 def apply(J, m, G, b, y, out):
     """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
-    n = J.shape[0]
     wide = is_wide(J, m)
-    k = m if wide else n
+    k = m if wide else J.shape[0]
     for r in range(k):
-        s = 0.0
-        if wide:
-            s = b[r]
-        else:
-            for i in range(m):
-                s += J[r, i] * b[i]
-        y[r] = s
+        y[r] = b[r] if wide else dot(J[r], b, m)
     cholesky_solve(G, k, y)
-    for i in range(n):
-        if wide:
-            s = 0.0
-            for r in range(m):
-                s += J[i, r] * y[r]
-            out[i] = s
-        else:
-            out[i] = y[i]
+    for i in range(J.shape[0]):
+        out[i] = dot(J[i], y, m) if wide else y[i]
 
 
 @dual
@@ -216,11 +195,7 @@ def prepare(p, inverse, target, rate, h, joints):
             t[k] = target.ahead[k] - p.omit * target.e[k]
         apply(J, m, inverse.G, t, inverse.y, joints.move)
     if code >= CA:
-        for k in range(m):
-            s = 0.0
-            for i in range(n):
-                s += J[i, k] * rate[i]
-            t[k] = s
+        apply_transposed(J, rate, t)
         apply(J, m, inverse.G, t, inverse.y, joints.null)
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
@@ -254,20 +229,16 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
         for i in range(n):
             x[i] = move[i] / h
     elif code == CA:
+        apply_transposed(J, rate, t)
         for k in range(m):
-            s = 0.0
-            for i in range(n):
-                s += J[i, k] * rate[i]
-            t[k] = target.a[k] + p.kd * (target.v[k] - s) + p.kp * target.e[k] - target.bias[k]
+            t[k] = target.a[k] + p.kd * (target.v[k] - t[k]) + p.kp * target.e[k] - target.bias[k]
         apply(J, m, inverse.G, t, inverse.y, x)
         for i in range(n):
             u = x[i] - p.null * null[i]
             x[i] = rate[i] + h * (u + 0.5 * ratio * (u - prev[i]))
             prev[i] = u
     else:
-        for k in range(m):
-            t[k] = target.bias[k]
-        apply(J, m, inverse.G, t, inverse.y, x)
+        apply(J, m, inverse.G, target.bias, inverse.y, x)
         for i in range(n):
             u = (move[i] / h - rate[i] + null[i]) / (p.gamma * h) - 0.5 * x[i] / p.gamma - p.null * null[i]
             x[i] = rate[i] + h * u
@@ -361,10 +332,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
             cholesky(H, m if wide else n, 0.0)
         apply(J, m, H if damped else inverse.G, e, y, c)
         for k in range(allowed.rows):
-            over = -max(allowed.edges[k], 0.0) / pace
-            for i in range(n):
-                over += allowed.planes[k, i] * c[i]
-            blocked = blocked or over > 0.0
+            blocked = blocked or dot(allowed.planes[k], c, n) > max(allowed.edges[k], 0.0) / pace
         f, stopped = possible(c, pace, h, q, limits, brisk.fast, brisk.quick, looked)
         blocked = blocked or stopped
         if f == 1.0 or not blocked or brisk.bend == 0.0:

@@ -20,6 +20,7 @@ from numba.extending import overload
 from ..compile.array_view import keep, space, view
 from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
+from ..kernel.linalg import apply_transposed, clear
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import step_class
 from .command import Moment, Published, copy_rows, lean, wanted
@@ -103,8 +104,7 @@ def leave_out(J, floor, roof):
     """Set the rows of J to zero for joints that cannot move (locked ones), to judge singularity without them."""
     for i in range(floor.shape[0]):
         if floor[i] == 0.0 and roof[i] == 0.0:
-            for k in range(J.shape[1]):
-                J[i, k] = 0.0
+            clear(J[i])
 
 
 @inline
@@ -151,8 +151,7 @@ def clip_rates(law, s, still, h, memory, code):
         return
     for k in range(code.shape[0]):
         code[k] = code[k] | HELD
-    for k in range(memory.shape[0]):
-        memory[k] = 0.0
+    clear(memory)
 
 
 # ---------------------------------------------------------------------------------------------------- inside the limits
@@ -169,8 +168,7 @@ def judge(wanted, h, p, state):
     bad = not largest < LARGEST
     still = p.brake > 0.0 or (bad and p.runaway == np.inf)
     if still:
-        for k in range(wanted.shape[0]):
-            wanted[k] = 0.0
+        clear(wanted)
     # In the other modes the rate bounds limit a command that is large but finite.
     elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
@@ -185,17 +183,13 @@ def by_constraints(law, s, count, mu, h, own, work, code):
     count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
     already in s. code (n,) receives the bits of the limits that held joints back.
     """
-    n, m = s.J.shape
+    n = s.J.shape[0]
     mode, size = int(law.mode), s.size
     if mu > 0.0:
         mode, size = LEAVE, s.even
     else:
-        for k in range(m):
-            s.ask[k] = 0.0
-            for i in range(n):
-                s.ask[k] += s.J[i, k] * s.x[i]
-        for i in range(n):
-            s.v[i] = 0.0
+        apply_transposed(s.J, s.x, s.ask)
+        clear(s.v)
         along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
     copy(s.x, s.w)

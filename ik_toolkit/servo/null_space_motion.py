@@ -11,6 +11,7 @@ import numpy as np
 from ..compile.jit import inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
+from ..kernel.linalg import apply_transposed
 from ..validate import number
 from .laws import STATE, apply
 
@@ -135,11 +136,7 @@ def clip_wish(g, x, low, top):
 @inner
 def into_null_space(J, m, G, y, t, g, part):
     """Project g (n,) into the null space of the task, in place: g -= J^+ J g, with the G that `factor` wrote."""
-    for k in range(m):
-        s = 0.0
-        for i in range(g.shape[0]):
-            s += J[i, k] * g[i]
-        t[k] = s
+    apply_transposed(J, g, t)
     apply(J, m, G, t, y, part)
     for i in range(g.shape[0]):
         g[i] -= part[i]

@@ -160,7 +160,7 @@ def test_the_damping_is_found_by_trying():
 
 def bench(rng, n, m=6):
     s = SimpleNamespace(
-        J=rng.normal(size=(n, m)), V=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
+        J=rng.normal(size=(n, m)), free=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
     )
     for name in ("e", "ahead", "f", "a"):
         setattr(s, name, rng.normal(size=m))

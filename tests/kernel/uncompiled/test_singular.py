@@ -49,7 +49,7 @@ def speed(
     full=None,
 ):
     """`mode_speed` for the direction (0.6, 0.8) of two joints: its speed where it is lost (None: it is not), edge, away."""
-    V = np.array([[0.6], [0.8]])
+    V = np.array([[0.6, 0.8]])
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
     full = sigma if full is None else full
@@ -135,20 +135,20 @@ def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
     sigma = np.array([1.0, 2e-3, 0.5])
     W = sigma[:, None] * Q[:, :3].T
     bent, straight = 0.3 * Q[:, 1] + np.sqrt(0.91) * Q[:, 5], np.sqrt(0.91) * Q[:, 1] - 0.3 * Q[:, 5]
-    V = np.full((7, 3), np.nan)
+    V = np.full((3, 7), np.nan)
     for away in (np.zeros(7), 0.9 * bent + 2.0 * Q[:, 0], -0.9 * bent):  # what is known counts, if anything is
-        V[:, 1] = Q[:, 1]
+        V[1] = Q[:, 1]
         x, slope = np.empty(7), np.empty(7)
-        singular_step.begin_bent(W, V, sigma, 1, away, x)
+        singular_step.begin_bent(W, V[1], sigma, 1, away, x)
         np.testing.assert_allclose(x, np.sign(away @ bent) * bent if away.any() else Q[:, 1], atol=1e-12)
         slope[:] = 0.2 * (x @ bent) * bent + 0.4 * Q[:, 0] - 0.1 * Q[:, 2]  # what other modes move is not free
-        thin = singular_step.bent_direction(W, V, sigma, 1, slope)
-        np.testing.assert_allclose(V[:, 1], bent, atol=1e-12)
+        thin = singular_step.bent_direction(W, V[1], sigma, 1, slope)
+        np.testing.assert_allclose(V[1], bent, atol=1e-12)
         assert thin == pytest.approx(0.3 * 2e-3)
-    V[:, 1] = Q[:, 1]
+    V[1] = Q[:, 1]
     slope[:] = 0.5e-3 * straight  # hardly bent
-    assert singular_step.bent_direction(W, V, sigma, 1, slope) == 2e-3
-    np.testing.assert_array_equal(V[:, 1], Q[:, 1])
+    assert singular_step.bent_direction(W, V[1], sigma, 1, slope) == 2e-3
+    np.testing.assert_array_equal(V[1], Q[:, 1])
 
 
 class Curved:
@@ -222,7 +222,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             mode = singular_directions.WeakMode(
                 0, full, full * (v @ W[:, k - 1]), rest, along, u @ e, u @ ahead - u @ e
             )
-            one = SimpleNamespace(V=v[:, None], t=curve, lost=lost_, xk=xk)
+            one = SimpleNamespace(V=v[None], t=curve, lost=lost_, xk=xk)
             singular_directions.mode_speed(one, mode, gain, h, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
@@ -272,8 +272,8 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
 def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     rng = np.random.default_rng(9)
     Q = np.linalg.qr(rng.normal(size=(5, 5)))[0]
-    W, V = np.zeros((2, 5)), np.zeros((5, 2))
-    V[:, 1], W[1] = Q[:, 0], 3e-4 * Q[:, 0] - 4e-3 * Q[:, 1]
+    W, V = np.zeros((2, 2, 5))
+    V[1], W[1] = Q[:, 0], 3e-4 * Q[:, 0] - 4e-3 * Q[:, 1]
     W[0] = Q[:, 2]
     ways = itertools.product(
         (50.0, 0.0), (1.0, 0.0), ((6e-3, 1.0), (5e-3, 1.0), (4e-3, 0.6), (2.5e-3, 0.0), (1e-3, 0.0))
