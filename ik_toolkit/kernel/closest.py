@@ -13,7 +13,7 @@ from ..compile.jit import cached, inline
 from .checks import CONVERGED
 from .dispatch import problem_on
 from .limits import hold
-from .linalg import row_product
+from .linalg import dot
 from .null_space import REFERENCE, make_bounds, move
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
@@ -54,7 +54,7 @@ def held_wrongly(s, error, weights, box):
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
         if weights[i] > 0.0:
-            g = row_product(s.J, i, error)
+            g = dot(s.J[i], error, error.shape[0])
             if s.w[i] > 0.0:
                 free += g * g
             elif g > 0.0 if s.q[i] <= box.lower(i) else g < 0.0:
@@ -80,7 +80,7 @@ def step_down(p, error, damping, weights, box, pressed):
         pressed = held_wrongly(s, error, weights, box)
     if pressed:
         for i in range(s.q.shape[0]):
-            g, w = row_product(s.J, i, error), weights[i]
+            g, w = dot(s.J[i], error, error.shape[0]), weights[i]
             s.w[i] = 0.0 if (s.q[i] <= box.lower(i) and g <= 0.0) or (s.q[i] >= box.upper(i) and g >= 0.0) else w
         p.toward(error, damping)
     size = 0.0

@@ -4,6 +4,7 @@ import math
 
 from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
+from .records import copy
 
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
@@ -46,19 +47,21 @@ def add_multiple(x, factor, y, n):
 
 
 @inline
-def dot_of_columns(A, r, c):
-    """Return the scalar product of columns r and c of A."""
+def dot_of_columns(A, r, B, c, n):
+    """Return the scalar product of column r of A and column c of B, over their first n numbers."""
     s = 0.0
-    for i in range(A.shape[0]):
-        s += A[i, r] * A[i, c]
+    for i in range(n):
+        s += A[i, r] * B[i, c]
     return s
 
 
 @inline
-def apply_to(A, x, out):
-    """Write A x to out (n,), for A (n, m) and x (m,)."""
-    for i in range(A.shape[0]):
-        out[i] = dot(A[i], x, A.shape[1])
+def dot_with_column(x, A, c, n):
+    """Return the scalar product of x and column c of A, over their first n numbers."""
+    s = 0.0
+    for i in range(n):
+        s += x[i] * A[i, c]
+    return s
 
 
 @inline
@@ -128,11 +131,10 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
     """
     n, m = J.shape
     F = m // 6
+    copy(e, y)
     for r in range(m):
-        for k in range(r + 1):
-            A[r, k] = 0.0
+        clear(A[r])
         A[r, r] = damping
-        y[r] = e[r]
     for i in range(n):
         if w[i] > 0.0:
             for f in range(F):
@@ -146,19 +148,7 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
     cholesky(A, m, TINY)
     cholesky_solve(A, m, y)
     for i in range(n):
-        s = 0.0
-        for r in range(m):
-            s += J[i, r] * y[r]
-        dq[i] = w[i] * s
-
-
-@inner
-def row_product(J, i, e):
-    """Return the product of row i of J (n, m) with errors e (m,): how fast |e|^2 / 2 falls as joint i moves."""
-    total = 0.0
-    for k in range(e.shape[0]):
-        total += J[i, k] * e[k]
-    return total
+        dq[i] = w[i] * dot(J[i], y, m)
 
 
 @inline
@@ -174,9 +164,9 @@ def jacobi(a, b, g):
 
 
 @inline
-def rotate(x, y, cosine, sine):
-    """Rotate two vectors in place by a Jacobi rotation."""
-    for i in range(x.shape[0]):
+def rotate(x, y, cosine, sine, n):
+    """Rotate the first n numbers of two vectors in place by a Jacobi rotation."""
+    for i in range(n):
         u, v = x[i], y[i]
         x[i], y[i] = cosine * u - sine * v, sine * u + cosine * v
 
@@ -189,10 +179,7 @@ def make_orthogonal(A, V, m):
     """
     n, longest = A.shape[0], 0.0
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += A[i, r] * A[i, r]
-        longest = max(longest, a)
+        longest = max(longest, dot_of_columns(A, r, A, r, n))
         for c in range(m):
             V[r, c] = 1.0 if r == c else 0.0
     noise = NOISE * NOISE * longest
@@ -210,20 +197,16 @@ def make_orthogonal(A, V, m):
                 rotated = True
                 cs, sn = jacobi(a, b, g)
                 for i in range(n):
-                    u, v = A[i, r], A[i, c]
-                    A[i, r] = cs * u - sn * v
-                    A[i, c] = sn * u + cs * v
+                    A[i, r], A[i, c] = cs * A[i, r] - sn * A[i, c], sn * A[i, r] + cs * A[i, c]
                 for k in range(m):
-                    u, v = V[k, r], V[k, c]
-                    V[k, r] = cs * u - sn * v
-                    V[k, c] = sn * u + cs * v
+                    V[k, r], V[k, c] = cs * V[k, r] - sn * V[k, c], sn * V[k, r] + cs * V[k, c]
         if not rotated:
             break
 
 
 @inner
 def make_rows_orthogonal(A, B, square):
-    """Make the rows of A orthogonal by Jacobi rotations, apply these to the rows of B, and write their squared lengths to square."""
+    """Make the rows of A orthogonal by Jacobi rotations, and rotate the rows of B alike; square receives the squared lengths."""
     m, n = A.shape
     longest = 0.0
     for k in range(m):
@@ -239,8 +222,8 @@ def make_rows_orthogonal(A, B, square):
                     continue
                 rotated = True
                 cs, sn = jacobi(a, b, g)
-                rotate(A[k], A[c], cs, sn)
-                rotate(B[k], B[c], cs, sn)
+                rotate(A[k], A[c], cs, sn, n)
+                rotate(B[k], B[c], cs, sn, B.shape[1])
                 square[k], square[c] = dot(A[k], A[k], n), dot(A[c], A[c], n)
         if not rotated:
             break
@@ -257,20 +240,12 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
     make_orthogonal(J, V, m)
     top = 0.0
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += J[i, r] * J[i, r]
-        top = max(top, a)
-    for i in range(n):
-        dq[i] = 0.0
+        top = max(top, dot_of_columns(J, r, J, r, n))
+    clear(dq)
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += J[i, r] * J[i, r]
+        a = dot_of_columns(J, r, J, r, n)
         if a > rcond * rcond * top and a > 0.0:
-            g = 0.0
-            for k in range(m):
-                g += V[k, r] * e[k]
+            g = dot_with_column(e, V, r, m)
             for i in range(n):
                 dq[i] += J[i, r] * (g / a)
 
@@ -322,9 +297,8 @@ def lu_factor(M, swaps, m, faint):
             if abs(M[i, k]) > best:
                 at, best = i, abs(M[i, k])
         swaps[k] = at
-        if at != k:
-            for j in range(m):
-                M[k, j], M[at, j] = M[at, j], M[k, j]
+        for j in range(m if at != k else 0):
+            M[k, j], M[at, j] = M[at, j], M[k, j]
         largest = max(largest, best)
         if best <= faint * largest:
             M[k, k] = max(faint * largest, 1e-300)
@@ -384,10 +358,9 @@ def triangle(V, count, m, scales, order, share):
                 total += V[c, n] * V[c, n]
             if total > best:
                 at, best = c, total
-        if at != k:
-            for n in range(m):
-                V[k, n], V[at, n] = V[at, n], V[k, n]
-            order[k], order[at] = order[at], order[k]
+        for n in range(m if at != k else 0):
+            V[k, n], V[at, n] = V[at, n], V[k, n]
+        order[k], order[at] = order[at], order[k]
         length = math.sqrt(best)
         first = max(first, length)
         if length <= share * first:
@@ -407,7 +380,7 @@ def triangle(V, count, m, scales, order, share):
 
 @inner
 def eigen(W, V, k):
-    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the columns of V."""
+    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the rows of V."""
     for i in range(k):
         for j in range(k):
             V[i, j] = 1.0 if i == j else 0.0
@@ -415,23 +388,14 @@ def eigen(W, V, k):
         beside, diagonal = 0.0, 0.0
         for i in range(k):
             diagonal += W[i, i] * W[i, i]
-            for j in range(i):
-                beside += W[i, j] * W[i, j]
+            beside += dot(W[i], W[i], i)
         if beside <= 1e-24 * diagonal:
             break
         for i in range(k - 1):
             for j in range(i + 1, k):
-                if W[i, j] == 0.0:
-                    continue
-                ratio = 0.5 * (W[j, j] - W[i, i]) / W[i, j]
-                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for h in range(k):
-                    a, b = W[h, i], W[h, j]
-                    W[h, i], W[h, j] = c * a - s * b, s * a + c * b
-                    a, b = V[h, i], V[h, j]
-                    V[h, i], V[h, j] = c * a - s * b, s * a + c * b
-                for h in range(k):
-                    a, b = W[i, h], W[j, h]
-                    W[i, h], W[j, h] = c * a - s * b, s * a + c * b
+                if W[i, j] != 0.0:
+                    c, s = jacobi(W[i, i], W[j, j], W[i, j])
+                    for h in range(k):
+                        W[h, i], W[h, j] = c * W[h, i] - s * W[h, j], s * W[h, i] + c * W[h, j]
+                    rotate(W[i], W[j], c, s, k)
+                    rotate(V[i], V[j], c, s, k)

@@ -12,7 +12,7 @@ from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, compiled, dual, inline, spliced
 from .dispatch import problem_on
 from .limits import LIGHTEST, hold
-from .linalg import cholesky
+from .linalg import cholesky, dot_of_columns
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 
@@ -75,18 +75,13 @@ def log_manipulability(p, ends):
     J, A = p.desk.J, p.desk.A
     m = 0
     for r in range(p.width()):
-        size = 0.0
-        for i in range(J.shape[0]):
-            size += J[i, r] * J[i, r]
-        if size > NULL.influence:
+        if dot_of_columns(J, r, J, r, J.shape[0]) > NULL.influence:
             for i in range(J.shape[0]):
                 J[i, m] = J[i, r] / ends.unit(i)
             m += 1
     for r in range(m):
         for c in range(r + 1):
-            A[r, c] = 0.0
-            for i in range(J.shape[0]):
-                A[r, c] += J[i, r] * J[i, c]
+            A[r, c] = dot_of_columns(J, r, J, c, J.shape[0])
     cholesky(A, m, NULL.volume)
     total = 0.0
     for r in range(m):

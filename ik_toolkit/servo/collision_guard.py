@@ -12,7 +12,7 @@ import numpy as np
 
 from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
-from .viability import bending
+from .viability import LIMIT, bending
 
 ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
 KEEP = 0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
@@ -117,7 +117,7 @@ class Guard:
         along(*way, 0.0, still.copy(), np.empty_like(still))
         levers, _ = space.levers(path.length[-1])
         space.free_until(ks, np.ones(len(ks)), levers, *way, 0.0)
-        rules = self.limits[3], 1.0, 1.0, SHARE, FLAT
+        rules = self.limits[LIMIT.acceleration], 1.0, 1.0, SHARE, FLAT
         space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
@@ -164,7 +164,7 @@ class Guard:
             return 0
         ks, points, distances = space.facing(ks, self._low[ks] + space.margins[ks])
         gap = distances - space.margins[ks] - self._keep[ks]
-        rules = self.limits[3], SPEED / (INFLUENCE - KEEP), h, SHARE, FLAT
+        rules = self.limits[LIMIT.acceleration], SPEED / (INFLUENCE - KEEP), h, SHARE, FLAT
         count = space.rows(ks, points, gap, rate, *rules, self.A, self.b, self._order)
         self.pairs = [space.name(k) for k in ks[self._order[:count]].tolist()]
         return count
@@ -222,7 +222,7 @@ class Guard:
     @property
     def _most(self) -> np.ndarray:
         """Largest change (n,) of joint rates per second that keeps the acceleration limits within a step."""
-        return self.limits[3] / bending(self.gamma)
+        return self.limits[LIMIT.acceleration] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
         """Lower the bounds on all distances, after the joints have moved by `way` (n,) along the proven path."""

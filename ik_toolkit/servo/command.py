@@ -38,6 +38,7 @@ from .laws import (
 from .null_space_motion import away_from_limits, clip_wish, into_null_space, weigh
 from .singular_directions import bend, judge_modes, remember
 from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, modes, take_out
+from .viability import LIMIT
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -155,7 +156,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
         hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
     limited = law.mode != CLIP and law.code >= CA
     for i in range(n):
-        limited = limited or limits[3, i] < np.inf
+        limited = limited or limits[LIMIT.acceleration, i] < np.inf
     if not limited:
         return False
     # The error along directions removed from the task is left out, because no other direction can close it.

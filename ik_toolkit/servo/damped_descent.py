@@ -14,6 +14,7 @@ error falls.
 """
 
 import math
+from typing import NamedTuple
 
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, clear, dot
@@ -22,27 +23,37 @@ from ..kernel.records import copy
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
-from .viability import POSITION, ROW, approach, box_of, narrow
+from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
-SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
-STALLED = 0.1  # [s] without progress after which an arm counts as stuck
-# An arm makes progress if within STALLED [s] the weighted error falls by PROGRESS, or by what it would fall at PACE times the rate
-# that full joint speed allows, whichever is less.
-PROGRESS, PACE = 1e-3, 0.1
-# Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
-IDLE = 0.01
-BACK = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-TURNS, FORGOTTEN = 2.0, 0.1  # An arm is stuck after so many joint reversals; one is forgotten after FORGOTTEN [s].
-# First, least and largest value of the share, the factor in the damping mu. Below the least value joints turn back repeatedly.
-FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors on the share: when joints turn back, when the error does not fall, and when the error falls
-TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-# When joints turn back, the share is raised, and must not fall below this fraction of its raised value for a while. That is
-# FLOOR * TURNED = 2 times the share with which the joints turned back.
-FLOOR = 0.25
-FADING = 0.3  # [s] time constant with which this lower bound on the share fades
-BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
+class DampedDescent(NamedTuple):
+    """When an arm counts as stuck, and how the share, the factor in the damping mu of its descent, is adapted."""
+
+    stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
+    small: float = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
+    stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
+    # An arm makes progress if within `stalled` the weighted error falls by `progress`, or by what it would fall at `pace` times the
+    # rate that full joint speed allows, whichever is less.
+    progress: float = 1e-3
+    pace: float = 0.1
+    # Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
+    idle: float = 0.01
+    back: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
+    turns: float = 2.0  # An arm is stuck after so many joint reversals.
+    forgotten: float = 0.1  # [s] time after which a reversal is forgotten
+    first: float = 0.5  # the share at first
+    least: float = 0.02  # the least share; below it joints turn back repeatedly
+    most: float = 16.0  # the largest share
+    turned: float = 8.0  # factor on the share when joints turn back
+    raised: float = 2.0  # factor on the share when the error does not fall
+    lowered: float = 0.9  # factor on the share while the error falls
+    # After joints have turned back, the share must not fall below this fraction of its raised value for a while: floor * turned = 2
+    # times the share with which they turned back.
+    floor: float = 0.25
+    fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
+    brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
+
+
+DESCENT = DampedDescent()
 
 
 @inner
@@ -62,14 +73,14 @@ def stuck(law, s, limits, square, h, state):
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
         most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
-    if law.mode == CLIP or most > STANDS or error < SMALL:
+    if law.mode == CLIP or most > DESCENT.stands or error < DESCENT.small:
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
-        way = min(PROGRESS, PACE * STALLED * fastest(s, limits, error))
+        way = min(DESCENT.progress, DESCENT.pace * DESCENT.stalled * fastest(s, limits, error))
         if error < state[STATE.nearest] - way or state[STATE.nearest] == 0.0:
             state[STATE.stalled], state[STATE.nearest] = 0.0, error
-        if (state[STATE.stalled] > STALLED or state[STATE.turned] >= TURNS) and feedback(law, h) > 0.0:
-            state[STATE.share], state[STATE.lowest], state[STATE.stalled] = FIRST, 0.0, 0.0
+        if (state[STATE.stalled] > DESCENT.stalled or state[STATE.turned] >= DESCENT.turns) and feedback(law, h) > 0.0:
+            state[STATE.share], state[STATE.lowest], state[STATE.stalled] = DESCENT.first, 0.0, 0.0
     return state[STATE.share] > 0.0
 
 
@@ -82,7 +93,7 @@ def fastest(s, limits, error):
         for k in range(s.J.shape[1]):
             slope += s.weight[k] * s.weight[k] * s.J[i, k] * s.e[k]
         if slope != 0.0 and (s.roof[i] > 0.0 if slope > 0.0 else s.floor[i] < 0.0):
-            total += abs(slope) * limits[2, i] / error
+            total += abs(slope) * limits[LIMIT.speed, i] / error
     return total
 
 
@@ -98,16 +109,16 @@ def notice(law, before, x, size, swings, code, square, h, state):
     for i in range(x.shape[0]):
         part = before[i] * x[i] / (size[i] * size[i])
         on, back, speed = on + max(part, 0.0), back - min(part, 0.0), speed + x[i] * x[i]
-        swing = swing or (swings[0, i] >= TURNS and swings[1, i] == 0.0)
+        swing = swing or (swings[0, i] >= DESCENT.turns and swings[1, i] == 0.0)
         hindered, held = hindered or (code[i] & (POSITION | ROW)) > 0, held or code[i] > 0
-    hindered = hindered or (not held and speed < (IDLE * feedback(law, h) * error) ** 2)
-    turned = swing or back > BACK * on
+    hindered = hindered or (not held and speed < (DESCENT.idle * feedback(law, h) * error) ** 2)
+    turned = swing or back > DESCENT.back * on
     if state[STATE.share] == 0.0:
         state[STATE.stalled] += h if hindered else 0.0
         if turned and (hindered or held):
             state[STATE.turned] += 1.0
         else:
-            state[STATE.turned] = max(state[STATE.turned] - h / FORGOTTEN, 0.0)
+            state[STATE.turned] = max(state[STATE.turned] - h / DESCENT.forgotten, 0.0)
     else:
         adapt(turned, error, h, state)
 
@@ -116,20 +127,20 @@ def notice(law, before, x, size, swings, code, square, h, state):
 def adapt(turned, error, h, state):
     """Adapt the share, the factor in the damping mu, after a step of a damped descent; turned: whether joints turned back.
 
-    It is raised if joints turned back or the weighted error has not fallen for STALLED [s], and lowered while that error falls.
+    It is raised if joints turned back or the weighted error has not fallen for DESCENT.stalled [s], and lowered while that error falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h
-    state[STATE.lowest] *= max(1.0 - h / FADING, 0.0)
+    state[STATE.lowest] *= max(1.0 - h / DESCENT.fading, 0.0)
     if turned:
-        share = min(TURNED * share, MOST)
-        state[STATE.lowest] = FLOOR * share
+        share = min(DESCENT.turned * share, DESCENT.most)
+        state[STATE.lowest] = DESCENT.floor * share
     elif error < state[STATE.nearest]:
-        share = min(share, max(LOWERED * share, state[STATE.lowest], LEAST))
+        share = min(share, max(DESCENT.lowered * share, state[STATE.lowest], DESCENT.least))
         state[STATE.nearest], state[STATE.stalled] = error, 0.0
-    elif state[STATE.stalled] > STALLED:
+    elif state[STATE.stalled] > DESCENT.stalled:
         state[STATE.lowest] = share
-        share = min(RAISED * share, MOST)
+        share = min(DESCENT.raised * share, DESCENT.most)
         state[STATE.nearest], state[STATE.stalled] = error, 0.0
     state[STATE.share] = share
 
@@ -147,7 +158,7 @@ def descend(law, s, limits, h, state):
     clear(s.x)
     clear(s.v)
     for i in range(n):
-        limited = limited or limits[3, i] < math.inf
+        limited = limited or limits[LIMIT.acceleration, i] < math.inf
     if limited:
         brake(s, limits, mu, h)
     return mu
@@ -171,6 +182,6 @@ def brake(s, limits, mu, h):
     cholesky(s.G, m if wide else n, 0.0)
     apply(s.free, m, s.G, s.e, s.y, s.null)
     for i in range(n):
-        if limits[3, i] < math.inf:
-            most = approach(abs(s.null[i]), 0.0, 1.0, h, BRISK * limits[3, i], h)
+        if limits[LIMIT.acceleration, i] < math.inf:
+            most = approach(abs(s.null[i]), 0.0, 1.0, h, DESCENT.brisk * limits[LIMIT.acceleration, i], h)
             narrow(i, -most, most, box_of(s))

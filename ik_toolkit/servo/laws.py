@@ -18,7 +18,7 @@ from ..compile.jit import compiled, dual
 from ..kernel.linalg import TINY, apply_transposed, cholesky, cholesky_solve, dot, dot_of_columns
 from ..kernel.null_space import SINGLE, is_wide
 from ..kernel.records import Array
-from .viability import approach
+from .viability import LIMIT, approach
 
 CV, AV, CA, AA = range(4)  # codes of the methods; AA is also the code of method aad
 CLIP = 2  # mode in which each joint is clipped on its own; the modes 0 and 1 are LEAVE and DIRECT
@@ -126,7 +126,7 @@ def gram(J, m, wide, extra, G):
     top = 0.0
     for r in range(k):
         for c in range(r + 1):
-            G[r, c] = dot_of_columns(J, r, c) if wide else dot(J[r], J[c], m)
+            G[r, c] = dot_of_columns(J, r, J, c, J.shape[0]) if wide else dot(J[r], J[c], m)
         top = max(top, G[r, r])
     for r in range(k):
         G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
@@ -264,12 +264,12 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
         size = abs(c[i])
-        if walls and (q[i] >= limits[1, i] - AT if c[i] > 0.0 else q[i] <= limits[0, i] + AT):
+        if walls and (q[i] >= limits[LIMIT.upper, i] - AT if c[i] > 0.0 else q[i] <= limits[LIMIT.lower, i] + AT):
             stopped = True
             continue
-        cap = fast * limits[2, i]
-        if limits[3, i] < np.inf:
-            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
+        cap = fast * limits[LIMIT.speed, i]
+        if limits[LIMIT.acceleration, i] < np.inf:
+            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[LIMIT.acceleration, i], h))
         if pace * size > cap > 0.0:  # A locked joint is skipped: the others close the error.
             f = min(f, cap / (pace * size))
     return f, stopped
@@ -283,13 +283,13 @@ def spare(J, m, e, limits, H, y, c):
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
-        top = max(top, limits[2, i] if limits[2, i] < np.inf else 0.0)
+        top = max(top, limits[LIMIT.speed, i] if limits[LIMIT.speed, i] < np.inf else 0.0)
     for i in range(c.shape[0]):
-        slow = slow or halved(limits[2, i], top) < 1.0
+        slow = slow or halved(limits[LIMIT.speed, i], top) < 1.0
     if not slow:
         return False
     for i in range(c.shape[0]):
-        w = halved(limits[2, i], top)
+        w = halved(limits[LIMIT.speed, i], top)
         for k in range(m):
             J[i, k] *= w
     gram(J, m, True, 0.0, H)
@@ -297,7 +297,7 @@ def spare(J, m, e, limits, H, y, c):
     apply(J, m, H, e, y, c)
     finite = True
     for i in range(c.shape[0]):
-        w = halved(limits[2, i], top)
+        w = halved(limits[LIMIT.speed, i], top)
         c[i] *= w
         finite = finite and abs(c[i]) < np.inf
         for k in range(m):

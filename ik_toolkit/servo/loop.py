@@ -45,8 +45,9 @@ from .null_space_motion import PRESSED, lay_aside, reflect, slack_rows
 from .singular_step import along_lost, by_modes
 from .viability import (
     CALMED,
+    CALMING,
     HELD,
-    LASTING,
+    LIMIT,
     RECOVERING,
     ROW,
     UNLIMITED,
@@ -72,8 +73,8 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
         apply(J, J.shape[1], G, f, y, rate)
         for i in range(q.shape[0]):
             up = rate[i] > 0.0
-            gap = max(way_to(limits[1 if up else 0, i], q[i], 1.0 if up else -1.0), 0.0)
-            top = min(limits[2, i], approach(gap, 0.0, law.gamma, 0.0, limits[3, i], law.late))
+            gap = max(way_to(limits[LIMIT.upper if up else LIMIT.lower, i], q[i], 1.0 if up else -1.0), 0.0)
+            top = min(limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late))
             rate[i] = min(max(rate[i], -top), top)
     state[STATE.start] = READY
 
@@ -113,7 +114,7 @@ def quieten(law, s, rate, swings, h, state):
 
     Otherwise the reversals may be due to the motion of the target itself.
     """
-    if law.mode != CLIP and state[STATE.free] < LASTING:
+    if law.mode != CLIP and state[STATE.free] < CALMING.lasting:
         calm(rate, s.size, swings, h, box_of(s))
 
 
@@ -266,7 +267,7 @@ def run(step, arm, given, own, samples, out, h, block):
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
     for i in range(n):
-        s.size[i], s.even[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED, 1.0
+        s.size[i], s.even[i] = limits[LIMIT.speed, i] if limits[LIMIT.speed, i] < np.inf and limits[LIMIT.speed, i] > 0.0 else UNLIMITED, 1.0
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)

@@ -14,6 +14,7 @@ from ..errors import InvalidOption, floats, near_match
 from ..kernel.linalg import apply_transposed
 from ..validate import number
 from .laws import STATE, apply
+from .viability import LIMIT
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
 # [rad or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
@@ -107,7 +108,7 @@ def slack_rows(slack, s, count, h, state):
 def away_from_limits(q, limits, gain, g):
     """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
     for i in range(q.shape[0]):
-        lower, upper = limits[0, i], limits[1, i]
+        lower, upper = limits[LIMIT.lower, i], limits[LIMIT.upper, i]
         wide = upper - lower
         if not (wide < np.inf and wide > 0.0):
             continue
@@ -161,8 +162,8 @@ class Secondary(Holds):
 
     def confine(self, limits: np.ndarray) -> None:
         """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
-        limits[0] = np.where(self.sides > 0.0, np.maximum(limits[0], 0.0), limits[0])
-        limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
+        limits[LIMIT.lower] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lower], 0.0), limits[LIMIT.lower])
+        limits[LIMIT.upper] = np.where(self.sides < 0.0, np.minimum(limits[LIMIT.upper], 0.0), limits[LIMIT.upper])
 
     def side(self, away: np.ndarray) -> None:
         """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.

@@ -20,6 +20,7 @@ from .path_reach import bound_search, samples_of, singular_sides, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
+from .viability import LIMIT
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
@@ -135,7 +136,7 @@ class Run:
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
         limits, here = self.tracker._limits, Way(self.times, NOWHERE, *self._wishes())
-        from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
+        from_rest = self._at_rest() and np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
@@ -287,7 +288,7 @@ class Run:
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
         more = JOINTS**over if self._redundant() else 1.0
-        speed, most = more * SPEED * limits[2], more * share * limits[3]
+        speed, most = more * SPEED * limits[LIMIT.speed], more * share * limits[LIMIT.acceleration]
         # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])

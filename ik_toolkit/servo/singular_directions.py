@@ -28,7 +28,7 @@ from .singular_step import (
     rest_of,
     way_along,
 )
-from .viability import approach
+from .viability import LIMIT, approach
 
 GAIN = 2.0 / 3.0  # share of an error that methods without a gain feed back per sample; it is the best one for method cv
 BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
@@ -148,8 +148,8 @@ def fastest_along(v, limits):
     cap, a = np.inf, np.inf
     for i in range(v.shape[0]):
         if v[i] != 0.0:
-            cap = min(cap, limits[2, i] / abs(v[i]))
-            a = min(a, limits[3, i] / abs(v[i]))
+            cap = min(cap, limits[LIMIT.speed, i] / abs(v[i]))
+            a = min(a, limits[LIMIT.acceleration, i] / abs(v[i]))
     return cap, a
 
 

@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 from ..compile.jit import inner
-from ..kernel.linalg import add_multiple, any_of, apply_to, cholesky, clear, dot, make_rows_orthogonal
+from ..kernel.linalg import add_multiple, any_of, cholesky, clear, dot, make_rows_orthogonal
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from .laws import gram
@@ -68,12 +68,13 @@ def modes(J, near, W, U, sigma):
     W (m, n) receives sigma_k v_k as rows, U (m, m) the u_k as rows, sigma (m,) the singular values. near (m, m): the u_k of the
     last call, which save rotations (zeros at first); it receives the new u_k, normalised.
     """
-    m = J.shape[1]
+    n, m = J.shape
     known = any_of(near[0])
     for r in range(m):
         for c in range(m):
             U[r, c] = near[r, c] if known else 1.0 if r == c else 0.0
-        apply_to(J, U[r], W[r])
+        for i in range(n):
+            W[r, i] = dot(J[i], U[r], m)
     make_rows_orthogonal(W, U, sigma)
     for r in range(m):
         sigma[r] = math.sqrt(sigma[r])

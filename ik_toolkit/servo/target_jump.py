@@ -20,7 +20,7 @@ from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
-from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
+from .viability import HELD_BACK, LIMIT, POSITION, UNKNOWN, bending, time_left, travel
 
 # A straight line of the tip is chosen if it takes at most this many times as long as the direct joint move.
 STRAIGHT = 1.2
@@ -209,7 +209,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     It is None if two neighbouring points coincide. The path coordinate is time [s] at full speed: the length of a segment is the
     time that its slowest joint needs at that joint's speed limit, so the rate of the coordinate is at most 1.
     """
-    top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
+    top, a = speeds(limits), (1.0 - HELD_BACK) * limits[LIMIT.acceleration] / bending(gamma)
     d = np.diff(points, axis=0)
     length = (np.abs(d) / top).max(axis=1)
     if not (length > 0.0).all():
@@ -232,6 +232,6 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 def least_time(way: np.ndarray, limits: np.ndarray) -> float:
     """Return the least time [s] in which joints move by distances way (n,), from rest to rest, in limits (4, n)."""
     moves = way > 0.0
-    way, v, a = way[moves], speeds(limits)[moves], limits[3, moves]
+    way, v, a = way[moves], speeds(limits)[moves], limits[LIMIT.acceleration, moves]
     top = np.minimum(v, np.sqrt(way * a))  # peak speed of each joint before it has to brake
     return float((way / top + top / a).max(initial=0.0))

@@ -160,7 +160,7 @@ class Tracker(CopiesViews, ReadOnly):
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.LASTING
+        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.CALMING.lasting
         self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
         for way in self._ways:
             way.begin()

@@ -31,23 +31,51 @@ from ..kernel.records import Array
 # RECOVERING: the joint was outside its limits. ROW: an inequality limits it, such as that of an obstacle.
 # CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-ROUNDING = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
-# This share of the distance to a limit is kept as a margin, for the rounding of some hundred braking steps.
-SPARE = 1e-13
 NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
-# A joint outside its limits returns at no more than this share of its speed limit, or of 1 rad/s (1 arm reach/s) if that is less.
-SHARE = 0.1
-SWING = 0.05  # Only motions faster than this share of the speed limit count when oscillation is detected.
-# A joint oscillates once it has reversed SWINGING times in a row, each time within WINDOW [s] of the last reversal. It no longer
-# counts as oscillating after HOLD [s] without a reversal.
-# For comparison: scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
-SWINGING = 2.0
-WINDOW, HOLD = 0.05, 0.1
-# [s] Oscillation is limited for this long after a limit, an inequality or a singular pose has hindered the joints.
-LASTING = 0.2
-# [1/s] The speed of an oscillating joint may grow, per second, by CALM times its speed limit plus GROWTH times its speed.
-CALM, GROWTH = 0.75, 10.0
+
+
+class LimitRows(NamedTuple):
+    """Names for the rows of an array of limits (4, n) in rad or arm reaches, per s, per s^2; LIMIT.speed etc. are the indices."""
+
+    lower: int
+    upper: int
+    speed: int
+    acceleration: int
+
+
+LIMIT = LimitRows._make(range(len(LimitRows._fields)))
+
+
+class Margins(NamedTuple):
+    """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
+
+    rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
+    spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
+    back: float = 0.1  # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
+
+
+MARGIN = Margins()
+
+
+class Calming(NamedTuple):
+    """When a joint counts as oscillating, and how it is calmed.
+
+    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py). For comparison:
+    scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
+    """
+
+    slow: float = 0.05  # Only motions faster than this share of the speed limit count.
+    reversals: float = 2.0  # so many reversals in a row, each within `window` of the last, make a joint oscillate
+    window: float = 0.05  # [s]
+    hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
+    lasting: float = 0.2  # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
+    # [1/s] Per second, the speed of an oscillating joint may grow by `gain` times its speed limit plus `growth` times its speed.
+    gain: float = 0.75
+    growth: float = 10.0
+
+
+CALMING = Calming()
 
 
 @compiled
@@ -117,20 +145,20 @@ def way_to(limit, q, sign):
     way = sign * (limit - q)
     if way < -NOISE:
         return way
-    return max(way * (1.0 - SPARE) - ROUNDING * (abs(limit) + abs(q)), 0.0)
+    return max(way * (1.0 - MARGIN.spare) - MARGIN.rounding * (abs(limit) + abs(q)), 0.0)
 
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
     """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
 
-    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than SHARE of its speed limit and so
+    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than MARGIN.back of its speed limit and so
     that it can stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
     back = approach(-way, -v, gamma, h, a, late)
-    return -min(max(back, 0.0), SHARE * min(speed, 1.0))
+    return -min(max(back, 0.0), MARGIN.back * min(speed, 1.0))
 
 
 @dual
@@ -182,7 +210,7 @@ def boxes(q, rate, limits, gamma, h, late, box):
     recovering = False
     for i in range(q.shape[0]):
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
-            q[i], rate[i], limits[0, i], limits[1, i], limits[2, i], limits[3, i], gamma, h, late
+            q[i], rate[i], limits[LIMIT.lower, i], limits[LIMIT.upper, i], limits[LIMIT.speed, i], limits[LIMIT.acceleration, i], gamma, h, late
         )
         recovering = recovering or (box.why_top[i] & RECOVERING) > 0
     return recovering
@@ -193,19 +221,19 @@ def watch(swings, rate, x, size, gamma, h):
     """Update the counts by which oscillating joints are detected, after a step from the rates `rate` to x (n,).
 
     swings (3, n), in place: number of reversals in a row, time since the last reversal [s], and sign of the last motion that
-    counts. size (n,): a speed for each joint; only motions faster than SWING times this speed count. `calm` uses the counts.
+    counts. size (n,): a speed for each joint; only motions faster than CALMING.slow times this speed count. `calm` uses the counts.
     """
     for i in range(x.shape[0]):
         swings[1, i] += h
         v = (1.0 - gamma) * rate[i] + gamma * x[i]
-        side = 0.0 if abs(v) <= SWING * size[i] else 1.0 if v > 0.0 else -1.0
+        side = 0.0 if abs(v) <= CALMING.slow * size[i] else 1.0 if v > 0.0 else -1.0
         turned = side * swings[2, i] < 0.0
         if side != 0.0:
             swings[2, i] = side
         if turned:
             swings[0, i] += 1.0
             swings[1, i] = 0.0
-        elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
+        elif swings[1, i] > (CALMING.window if swings[0, i] < CALMING.reversals else CALMING.hold):
             swings[0, i] = 0.0
 
 
@@ -228,13 +256,12 @@ def calm(rate, size, swings, h, box):
     """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place); braking stays free.
 
     After each reversal the joint has to gain its speed again from rest. rate (n,): present rates; size (n,): the joints' speed
-    limits, or other speeds to compare with; swings: see `watch`. Before this limit existed, 89 of 198 random target streams
-    made joints chatter (scripts/benchmarks/servo_random.py).
+    limits, or other speeds to compare with; swings: see `watch`.
     """
     for i in range(rate.shape[0]):
-        if swings[0, i] < SWINGING:
+        if swings[0, i] < CALMING.reversals:
             continue
-        gain, more = CALM * size[i] * h, 1.0 + GROWTH * h
+        gain, more = CALMING.gain * size[i] * h, 1.0 + CALMING.growth * h
         narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, box)
 
 
@@ -293,7 +320,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
     """
     n = q.shape[0]
     for j in range(n):
-        if limits[2, j] == 0.0 or limits[0, j] == limits[1, j] or goal[j] < limits[0, j] or goal[j] > limits[1, j]:
+        if limits[LIMIT.speed, j] == 0.0 or limits[LIMIT.lower, j] == limits[LIMIT.upper, j] or goal[j] < limits[LIMIT.lower, j] or goal[j] > limits[LIMIT.upper, j]:
             return -1.0
     x = np.empty(n)
     if times.shape[0] > 0 and time < times[times.shape[0] - 1]:
@@ -312,7 +339,7 @@ def time_left(q, goal, limits):
     """
     left = 0.0
     for j in range(q.shape[0]):
-        left = max(left, abs(goal[j] - q[j]) / (limits[2, j] if limits[2, j] < np.inf else UNLIMITED))
+        left = max(left, abs(goal[j] - q[j]) / (limits[LIMIT.speed, j] if limits[LIMIT.speed, j] < np.inf else UNLIMITED))
     return left
 
 
@@ -326,7 +353,7 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
         way = goal[j] - q[j]
-        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[3, j] / bending(gamma), h)
+        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[LIMIT.acceleration, j] / bending(gamma), h)
         x[j] = math.copysign(min(abs(way) / left if left > 0.0 else 0.0, most), way)
 
 
@@ -350,7 +377,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
         a, b = d0 + d1 - 2.0 * way, 3.0 * way - 2.0 * d0 - d1
         point, speed = ((a * f + b) * f + d0) * f + points[k - 1, j], ((3.0 * a * f + 2.0 * b) * f + d0) / piece
         missing = point - q[j] - h * ((1.0 - gamma) * rate[j] + gamma * speed)
-        most = approach(abs(missing), 0.0, 1.0, h, HELD_BACK * limits[3, j], h)
+        most = approach(abs(missing), 0.0, 1.0, h, HELD_BACK * limits[LIMIT.acceleration, j], h)
         x[j] = speed + math.copysign(min(share * abs(missing) / (gamma * h), most), missing)
 
 

@@ -236,6 +236,6 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
             loop.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
         swings[0, 0] = 3.0
         loop.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
-        gain = viability.CALM * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
+        gain = viability.CALMING.gain * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
         assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
         assert (swings[2] == 1.0).all()
