@@ -9,8 +9,7 @@ from .records import copy
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-# A column shorter than this share of the longest is rounding. It has no direction, so rotating it would never end.
-NOISE = 1e-15
+NOISE = 1e-15  # A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 

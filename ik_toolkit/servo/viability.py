@@ -27,9 +27,8 @@ from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shar
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite.
-# RECOVERING: the joint was outside its limits. ROW: an inequality limits it, such as that of an obstacle.
-# CALMED: it oscillated, so that its acceleration was limited.
+# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite. RECOVERING: it was outside its limits.
+# ROW: an inequality limits it, such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
 NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
@@ -61,8 +60,7 @@ MARGIN = Margins()
 class Calming(NamedTuple):
     """When a joint counts as oscillating, and how it is calmed.
 
-    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py). For comparison:
-    scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
+    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
     """
 
     slow: float = 0.05  # Only motions faster than this share of the speed limit count.
@@ -239,10 +237,7 @@ def watch(swings, rate, x, size, gamma, h):
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the bounds of joint i in `box` (in place) to the rates from least to most.
-
-    If no rate is inside both, the bounds become the nearest rate.
-    """
+    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most, or to the nearest rate if none is in both."""
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
@@ -296,8 +291,7 @@ def advance(q, rate, x, gamma, h, late, limits, code):
 
     If x is 0, the joints brake. code (n,) receives the bits of the limits that held each joint back.
     """
-    n = q.shape[0]
-    ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
+    ends, why = np.empty((2, q.shape[0])), np.empty((2, q.shape[0]), np.uint8)
     box = RateBox(ends[0], ends[1], why[0], why[1])
     boxes(q, rate, limits, gamma, h, late, box)
     hit = clip(x, box, code)
@@ -333,10 +327,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
 
 @shared
 def time_left(q, goal, limits):
-    """Return the least time [s] in which all joints move from q to goal (n,) at full speed.
-
-    Accelerations are ignored.
-    """
+    """Return the least time [s] in which all joints move from q to goal (n,) at full speed, whatever their accelerations."""
     left = 0.0
     for j in range(q.shape[0]):
         left = max(left, abs(goal[j] - q[j]) / (limits[LIMIT.speed, j] if limits[LIMIT.speed, j] < np.inf else UNLIMITED))
@@ -347,8 +338,7 @@ def time_left(q, goal, limits):
 def go_straight(q, rate, goal, gamma, h, limits, x):
     """Write to x (n,) the rates that move the joints to goal along a straight line in joint space.
 
-    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the
-    goal.
+    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the goal.
     """
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
