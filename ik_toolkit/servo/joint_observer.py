@@ -106,7 +106,7 @@ class JointObserver:
         largest = float(np.abs(apart).max())
         if not largest <= most:  # The comparison is false for NaN.
             agree = self.far is not None and np.abs(measured - self.far).max() <= most
-            inside = (measured >= limits[LIMIT.lower] - most) & (measured <= limits[LIMIT.upper] + most)
+            inside = (measured >= limits[LIMIT.lowest] - most) & (measured <= limits[LIMIT.highest] + most)
             self.confirmed = bool(agree and inside.all())
             self.far, self.doubts = measured, self.doubts + 1
             return largest if largest < math.inf else math.inf

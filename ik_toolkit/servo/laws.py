@@ -264,7 +264,7 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
         size = abs(c[i])
-        if walls and (q[i] >= limits[LIMIT.upper, i] - AT if c[i] > 0.0 else q[i] <= limits[LIMIT.lower, i] + AT):
+        if walls and (q[i] >= limits[LIMIT.highest, i] - AT if c[i] > 0.0 else q[i] <= limits[LIMIT.lowest, i] + AT):
             stopped = True
             continue
         cap = fast * limits[LIMIT.speed, i]

@@ -41,7 +41,7 @@ from .laws import (
     own_up,
     settle,
 )
-from .null_space_motion import PRESSED, lay_aside, reflect, slack_rows
+from .null_space_motion import SLACK, lay_aside, reflect, slack_rows
 from .singular_step import along_lost, by_modes
 from .viability import (
     CALMED,
@@ -73,7 +73,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
         apply(J, J.shape[1], G, f, y, rate)
         for i in range(q.shape[0]):
             up = rate[i] > 0.0
-            gap = max(way_to(limits[LIMIT.upper if up else LIMIT.lower, i], q[i], 1.0 if up else -1.0), 0.0)
+            gap = max(way_to(limits[LIMIT.highest if up else LIMIT.lowest, i], q[i], 1.0 if up else -1.0), 0.0)
             top = min(limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late))
             rate[i] = min(max(rate[i], -top), top)
     state[STATE.start] = READY
@@ -197,7 +197,7 @@ def by_constraints(law, s, count, mu, h, own, work, code):
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
     status = constrain(TaskRate(s.J, s.weight, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
     if status >= SHORT:
-        own.state[STATE.pressed] = PRESSED
+        own.state[STATE.pressed] = SLACK.pressed
     for i in range(n):
         code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
         if status != WANTED and own.active[i] == 1:

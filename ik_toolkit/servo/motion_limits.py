@@ -9,9 +9,9 @@ from ..errors import InvalidOption, floats, near_match
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..validate import switch
-from .viability import LIMIT, UNLIMITED, LimitRows
+from .viability import LIMIT, UNLIMITED
 
-LIMIT_NAMES = LimitRows._fields
+LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 INSTEAD = {  # advice in the error raised on assignment to an attribute of a Tracker, by attribute; "": all others
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",
@@ -35,10 +35,10 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
     """
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)
-    rows[LIMIT.lower] = -np.inf
+    rows[LIMIT.lowest] = -np.inf
     if switch(limits, "limits"):
         speed = np.asarray(robot.velocity_limits, dtype=float)
-        rows[LIMIT.lower], rows[LIMIT.upper] = robot.lower / unit, robot.upper / unit
+        rows[LIMIT.lowest], rows[LIMIT.highest] = robot.lower / unit, robot.upper / unit
         rows[LIMIT.speed] = np.where(speed > 0.0, speed, np.inf) / unit
     if acceleration_limits is not None:
         if not limits:
@@ -94,6 +94,6 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
         if np.isnan(new).any() or (new < least).any():
             raise InvalidOption(f"{name} must be numbers{'' if least else ' of at least 0'}, not {value!r:.60}")
         row[:] = new / unit
-    if (rows[LIMIT.lower] > rows[LIMIT.upper]).any():
+    if (rows[LIMIT.lowest] > rows[LIMIT.highest]).any():
         raise InvalidOption("lower limits must not be above the upper ones")
     return rows

@@ -4,7 +4,7 @@ The options of the null space are checked once (`Secondary`); the compiled part 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,14 +17,22 @@ from .laws import STATE, apply
 from .viability import LIMIT
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
-# [rad or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
+# [rad or m, or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
 STEP = 1e-5
-NEARLY = 0.5  # share of the distance to the end of its slack (dead band) by which an error may grow in one sample
-# An error that exceeds its slack by more than this is closed like an error without slack.
-# BEYOND [share of the slack] applies while inequalities cannot be kept; a smaller excess may be rounding.
-# FAR [arm reaches, rad] applies otherwise.
-BEYOND, FAR = 1e-3, 1e-2
-PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are tried again
+
+
+class SlackRules(NamedTuple):
+    """How an error with a slack (dead band) is kept inside it."""
+
+    nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
+    # An error that exceeds its slack by more than this is closed like an error without slack: `beyond` [share of the slack] while
+    # inequalities cannot be kept, as a smaller excess may be rounding; `far` [arm reaches, rad] otherwise.
+    beyond: float = 1e-3
+    far: float = 1e-2
+    pressed: float = 0.1  # [s] after which inequalities that keep errors within slack are tried again
+
+
+SLACK = SlackRules()
 
 
 @inline
@@ -75,7 +83,7 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, s, count, h, state):
     """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside the band, an error may come closer to its edge by at most NEARLY of the distance in one sample; slightly outside, it is
+    Inside the band, an error may come closer to its edge by at most SLACK.nearly of the distance in one sample; slightly outside, it is
     brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict
     the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then let joints
     turn at full speed.
@@ -88,15 +96,15 @@ def slack_rows(slack, s, count, h, state):
         if not slack[k] > 0.0:
             continue
         inside = min(max(e[k], -slack[k]), slack[k])
-        if abs(e[k] - inside) > (BEYOND * slack[k] if pressed > 0.0 else FAR):
-            state[STATE.pressed] = PRESSED
+        if abs(e[k] - inside) > (SLACK.beyond * slack[k] if pressed > 0.0 else SLACK.far):
+            state[STATE.pressed] = SLACK.pressed
             e[k] -= inside
             s.ahead[k] -= inside
             continue
         for sign in (1.0, -1.0):
             for i in range(n):
                 s.planes[count, i] = -sign * s.J[i, k]
-            s.edges[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * s.f[k]
+            s.edges[count] = SLACK.nearly * (slack[k] - sign * e[k]) / h - sign * s.f[k]
             count += 1
         for i in range(n):
             s.J[i, k] = 0.0
@@ -108,7 +116,7 @@ def slack_rows(slack, s, count, h, state):
 def away_from_limits(q, limits, gain, g):
     """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
     for i in range(q.shape[0]):
-        lower, upper = limits[LIMIT.lower, i], limits[LIMIT.upper, i]
+        lower, upper = limits[LIMIT.lowest, i], limits[LIMIT.highest, i]
         wide = upper - lower
         if not (wide < np.inf and wide > 0.0):
             continue
@@ -146,7 +154,6 @@ def into_null_space(J, m, G, y, t, g, part):
 # [1/s] gain of the motion away from limits; at the limit itself a joint moves 15 % of its range in a second
 AVOID = 1.0
 POSTURE = 1.0  # [1/s] gain of the motion towards a posture
-DIFFERENCE = 1e-5  # [rad or m] step of the difference quotient for the gradient of a caller's cost
 
 
 class Secondary(Holds):
@@ -162,8 +169,8 @@ class Secondary(Holds):
 
     def confine(self, limits: np.ndarray) -> None:
         """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
-        limits[LIMIT.lower] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lower], 0.0), limits[LIMIT.lower])
-        limits[LIMIT.upper] = np.where(self.sides < 0.0, np.minimum(limits[LIMIT.upper], 0.0), limits[LIMIT.upper])
+        limits[LIMIT.lowest] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lowest], 0.0), limits[LIMIT.lowest])
+        limits[LIMIT.highest] = np.where(self.sides < 0.0, np.minimum(limits[LIMIT.highest], 0.0), limits[LIMIT.highest])
 
     def side(self, away: np.ndarray) -> None:
         """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.
@@ -192,8 +199,8 @@ class Secondary(Holds):
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
         """Return the gradient (n,) of a scalar function by central differences."""
-        steps = DIFFERENCE * np.eye(len(at))
-        return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * DIFFERENCE) for d in steps])
+        steps = STEP * np.eye(len(at))
+        return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * STEP) for d in steps])
 
     def _volume(self, q: np.ndarray) -> float:
         """Return the logarithm of the manipulability (the product of the singular values of J) at q (n,) [rad or m]."""
@@ -201,7 +208,7 @@ class Secondary(Holds):
         J = np.zeros((6 * len(self.robot.arms), len(q)))
         for f, (arm, place) in enumerate(arms):
             J[6 * f : 6 * f + 6, place] = arm.chain.forward(q[place], jacobian=True)[1][0]
-        return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), DIFFERENCE)).sum())
+        return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), STEP)).sum())
 
 
 def read_secondary(

@@ -37,8 +37,8 @@ UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed lim
 class LimitRows(NamedTuple):
     """Names for the rows of an array of limits (4, n) in rad or arm reaches, per s, per s^2; LIMIT.speed etc. are the indices."""
 
-    lower: int
-    upper: int
+    lowest: int  # Kernel records have methods `lower` and `upper`, whose names fields must not have.
+    highest: int
     speed: int
     acceleration: int
 
@@ -208,7 +208,7 @@ def boxes(q, rate, limits, gamma, h, late, box):
     recovering = False
     for i in range(q.shape[0]):
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
-            q[i], rate[i], limits[LIMIT.lower, i], limits[LIMIT.upper, i], limits[LIMIT.speed, i], limits[LIMIT.acceleration, i], gamma, h, late
+            q[i], rate[i], limits[LIMIT.lowest, i], limits[LIMIT.highest, i], limits[LIMIT.speed, i], limits[LIMIT.acceleration, i], gamma, h, late
         )
         recovering = recovering or (box.why_top[i] & RECOVERING) > 0
     return recovering
@@ -314,7 +314,8 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
     """
     n = q.shape[0]
     for j in range(n):
-        if limits[LIMIT.speed, j] == 0.0 or limits[LIMIT.lower, j] == limits[LIMIT.upper, j] or goal[j] < limits[LIMIT.lower, j] or goal[j] > limits[LIMIT.upper, j]:
+        lower, upper = limits[LIMIT.lowest, j], limits[LIMIT.highest, j]
+        if limits[LIMIT.speed, j] == 0.0 or lower == upper or not lower <= goal[j] <= upper:
             return -1.0
     x = np.empty(n)
     if times.shape[0] > 0 and time < times[times.shape[0] - 1]:
