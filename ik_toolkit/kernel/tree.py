@@ -61,7 +61,9 @@ class TreeProblem(NamedTuple):
     choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see `relative.TURN`
-    kept: Array  # (F, KEPT) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
+    kept: (
+        Array  # (F, KEPT) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
+    )
     # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint

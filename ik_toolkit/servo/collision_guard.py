@@ -21,12 +21,18 @@ CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten tim
 class Guarding(NamedTuple):
     """How the arm is slowed near obstacles, and how much is done to prove a step free of contact."""
 
-    keep: float = 0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
+    keep: float = (
+        0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
+    )
     influence: float = 0.1  # [m] distance between two bodies below which their inequality applies
     # [m/s] approach speed allowed at the distance `influence`; it falls linearly to 0 at `keep`, with a time constant of 0.1 s
     speed: float = 1.0
-    flat: float = 1e-9  # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
-    share: float = 0.1  # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
+    flat: float = (
+        1e-9  # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
+    )
+    share: float = (
+        0.1  # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
+    )
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
     looks: int = 12
@@ -172,7 +178,13 @@ class Guard:
             return 0
         ks, points, distances = space.facing(ks, self._low[ks] + space.margins[ks])
         gap = distances - space.margins[ks] - self._keep[ks]
-        rules = self.limits[LIMIT.acceleration], GUARD.speed / (GUARD.influence - GUARD.keep), h, GUARD.share, GUARD.flat
+        rules = (
+            self.limits[LIMIT.acceleration],
+            GUARD.speed / (GUARD.influence - GUARD.keep),
+            h,
+            GUARD.share,
+            GUARD.flat,
+        )
         count = space.rows(ks, points, gap, rate, *rules, self.A, self.b, self._order)
         self.pairs = [space.name(k) for k in ks[self._order[:count]].tolist()]
         return count

@@ -37,7 +37,7 @@ from .laws import (
 )  # fmt: skip
 from .null_space_motion import away_from_limits, clip_wish, into_null_space, weigh
 from .singular_directions import bend, judge_modes, remember
-from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, modes, take_out
+from .singular_step import CLOSE, along_lost, begin_anew, hold_back, modes, take_out
 from .viability import LIMIT
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
@@ -95,7 +95,6 @@ def find_wishes(law, s, limits, wish, base):
         return False
     into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
     along_lost(s.V, s.lost, s.xk, s.g, 0.0)
-    down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
     clip_wish(s.g, base, s.floor, s.roof)
     return True
 
@@ -199,7 +198,6 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         begin_anew(given.counts[1], own.basis)
         modes(s.J, own.basis, s.W, s.U, s.sv)
     clear(s.lost)
-    clear(s.pull)
     if weak:
         beyond = judge_modes(law, task, look, s, limits, h, own, heavy)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -222,7 +220,6 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
-        down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)

@@ -25,6 +25,7 @@ from .null_space_motion import weigh
 from .singular_directions import GAIN
 from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
+
 class DampedDescent(NamedTuple):
     """When an arm counts as stuck, and how the share, the factor in the damping mu of its descent, is adapted."""
 
@@ -127,7 +128,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
 def adapt(turned, error, h, state):
     """Adapt the share, the factor in the damping mu, after a step of a damped descent; turned: whether joints turned back.
 
-    It is raised if joints turned back or the weighted error has not fallen for DESCENT.stalled [s], and lowered while that error falls.
+    It is raised if joints turned back or the weighted error has not fallen for DESCENT.stalled [s], and lowered while it falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h

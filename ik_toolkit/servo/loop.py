@@ -74,7 +74,9 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
         for i in range(q.shape[0]):
             up = rate[i] > 0.0
             gap = max(way_to(limits[LIMIT.highest if up else LIMIT.lowest, i], q[i], 1.0 if up else -1.0), 0.0)
-            top = min(limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late))
+            top = min(
+                limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late)
+            )
             rate[i] = min(max(rate[i], -top), top)
     state[STATE.start] = READY
 
@@ -267,7 +269,8 @@ def run(step, arm, given, own, samples, out, h, block):
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
     for i in range(n):
-        s.size[i], s.even[i] = limits[LIMIT.speed, i] if limits[LIMIT.speed, i] < np.inf and limits[LIMIT.speed, i] > 0.0 else UNLIMITED, 1.0
+        speed = limits[LIMIT.speed, i]
+        s.size[i], s.even[i] = speed if 0.0 < speed < np.inf else UNLIMITED, 1.0
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)

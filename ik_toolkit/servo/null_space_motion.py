@@ -83,10 +83,10 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, s, count, h, state):
     """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside the band, an error may come closer to its edge by at most SLACK.nearly of the distance in one sample; slightly outside, it is
-    brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict
-    the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then let joints
-    turn at full speed.
+    Inside the band, an error may come closer to its edge by at most the share SLACK.nearly of the distance in one sample; slightly
+    outside, it is brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task
+    or contradict the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then
+    let joints turn at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -170,7 +170,9 @@ class Secondary(Holds):
     def confine(self, limits: np.ndarray) -> None:
         """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
         limits[LIMIT.lowest] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lowest], 0.0), limits[LIMIT.lowest])
-        limits[LIMIT.highest] = np.where(self.sides < 0.0, np.minimum(limits[LIMIT.highest], 0.0), limits[LIMIT.highest])
+        limits[LIMIT.highest] = np.where(
+            self.sides < 0.0, np.minimum(limits[LIMIT.highest], 0.0), limits[LIMIT.highest]
+        )
 
     def side(self, away: np.ndarray) -> None:
         """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.

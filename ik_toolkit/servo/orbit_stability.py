@@ -19,6 +19,7 @@ from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
+
 class Sampling(NamedTuple):
     """How a path is sampled and followed for the product of its steps."""
 

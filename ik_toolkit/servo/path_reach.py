@@ -11,15 +11,24 @@ from ..robot.joints import Joints
 from ..robot.rotation import angles_between
 from ..text import angle, length
 
+
 class Surveying(NamedTuple):
     """How finely a path is looked at, and which changes are tried where a part of it is out of reach."""
 
-    close: tuple[float, float] = (1e-4, 2e-4)  # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
+    close: tuple[float, float] = (
+        1e-4,
+        2e-4,
+    )  # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
     dense: int = 1000  # number of samples from which the length of a path is measured
-    step: tuple[float, float] = (0.02, 0.05)  # largest distance between two poses: as a share of the arm's reach, and in rad
+    step: tuple[float, float] = (
+        0.02,
+        0.05,
+    )  # largest distance between two poses: as a share of the arm's reach, and in rad
     fewest: int = 40  # least number of poses tested along a path
     most: int = 1000  # largest number of poses tested along a path
-    halvings: int = 10  # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
+    halvings: int = (
+        10  # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
+    )
     # A joint nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
     boundary: float = 1e-3
     starts: int = 24  # number of attempts to find another posture for the start of a path
@@ -141,7 +150,9 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
     solver, tried = bound_search(robot, restarts=0, **options), []
     for q in robot.random_q(np.random.default_rng(0), SURVEY.starts):
         found = solver(start, q)
-        new = found.success and not any((np.abs(found.q - other) < SURVEY.apart * robot.chain.unit).all() for other in tried)
+        new = found.success and not any(
+            (np.abs(found.q - other) < SURVEY.apart * robot.chain.unit).all() for other in tried
+        )
         if new and trace(robot, reference, found.q, **options) is not None:
             return found.q
         if new:

@@ -23,11 +23,14 @@ from .tracker import Tracker
 from .viability import LIMIT
 from .workspace import Samples, new_record
 
+
 class Retiming(NamedTuple):
     """What the time law of a run may use, which other runs are tried, and how the joint path for it is found."""
 
     quick: float = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-    speed: float = 0.98  # share of the speed limits that a time law uses, because a run differs a little from the planned motion
+    speed: float = (
+        0.98  # share of the speed limits that a time law uses, because a run differs a little from the planned motion
+    )
     # Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
     acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
     tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
@@ -38,13 +41,20 @@ class Retiming(NamedTuple):
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
-    helped: float = 0.8  # Another run is tried only if the last one missed at most this share of what the one before it missed.
+    helped: float = (
+        0.8  # Another run is tried only if the last one missed at most this share of what the one before it missed.
+    )
     followed: float = 0.2  # error of a step, as a share of the tolerance, while a joint path is computed
     fewest: int = 400  # least number of steps in which a joint path is computed
-    harder: tuple[float, ...] = (10.0, 30.0)  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
+    harder: tuple[float, ...] = (
+        10.0,
+        30.0,
+    )  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     poses: int = 40  # least number of poses that must all be in reach before `solve_path` is called
     most_poses: int = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
-    exact: float = 1e-6  # [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples are no accelerations
+    exact: float = (
+        1e-6  # [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples are no accelerations
+    )
     stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
     lead: float = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
     slowest: float = 0.02  # least rate of the reference's clock near obstacles
@@ -208,7 +218,9 @@ class Run:
         """Yield joint paths along the reference, best first."""
         # Each step of the run is divided into `parts`, so many that the error of a part is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
-        parts = max(-(-RETIME.fewest // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed))))
+        parts = max(
+            -(-RETIME.fewest // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
+        )
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
@@ -266,7 +278,8 @@ class Run:
         reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
         anywhere = bound_search(robot, **self.counts)
         if not all(
-            anywhere(one, self.q0).success for one in targets_at(reference, samples_of(robot, reference, RETIME.poses)[0])
+            anywhere(one, self.q0).success
+            for one in targets_at(reference, samples_of(robot, reference, RETIME.poses)[0])
         ):
             return None
         from ..paths.solve_path import solve_path
@@ -287,7 +300,7 @@ class Run:
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
         """Return the fastest clock along a joint path, with rates up to top (K + 1,), and up to `start` at its beginning.
 
-        share: part of the acceleration limits to use; over: how many times the limits are multiplied by RETIME.joints and RETIME.tip.
+        share: part of the acceleration limits to use; over: how many times the limits are raised (RETIME.joints, RETIME.tip).
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
@@ -299,7 +312,8 @@ class Run:
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.tile(
-                np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3), len(self.references)
+                np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3),
+                len(self.references),
             )
             counted = self.tracker._settings.counts[0] > 0.0
             speed = np.append(speed, np.full(len(counted), np.inf))

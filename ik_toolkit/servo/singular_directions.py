@@ -19,8 +19,6 @@ from .singular_step import (
     BOTH,
     SIDE,
     WEAK,
-    begin_bent,
-    bent_direction,
     bring_along,
     mode_direction,
     mode_moved,
@@ -84,57 +82,12 @@ def remember(state, near, beyond, h):
         state[STATE.near] = BEFORE
 
 
-@inline
-def begin_mode(s, r, free, way, away):
-    """Write the joint direction of singular direction r to row r of V; return False if there is none.
-
-    In that case direction r is marked as removed from the task (s.lost). free: whether the direction of most curved tip motion will
-    be looked for; then s.x1 receives the direction at which `bent_direction` needs its gradient. way: the tip motion asked for;
-    away: see `mode_speed`.
-    """
-    there = mode_direction(s.W, s.sv, r, away, way, s.V[r])
-    if not there:
-        s.lost[r], s.xk[r] = 1.0, 0.0
-    elif free:
-        begin_bent(s.W, s.V[r], s.sv, r, away, s.x1)
-    return there
-
-
-@inline
-def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
-
-    part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
-    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (row r of V), or 0 for the gradient.
-    """
-    n = rate.shape[0]
-    if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
-        clear(s.x2)
-        s.x2[part + n] = 1.0
-        return 0.0
-    own = mode_probe(s.V[r], rate, part, h, s.x1)
-    copy(s.x1, s.x2)
-    return own
-
-
-@inline
-def note_curve(s, r, part):
-    """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
-    curved = dot(s.U[r], s.bias, s.bias.shape[0])
-    i = part + s.null.shape[0]
-    if part >= 0:
-        s.t[part] = curved
-    else:
-        s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
-
-
 @compiled
 class WeakMode(NamedTuple):
     """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
 
     r: int  # index of the singular direction
-    full: float  # singular value sigma_r
-    sigma: float  # tip motion along u_r per unit of joint motion along V_r
+    sigma: float  # singular value sigma_r: tip motion along u_r per unit of joint motion along V_r
     # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
     rest: float
     own: float  # rate of the joints along V_r
@@ -166,7 +119,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     b, beside = s.t[ALONG], s.t[BESIDE]
     cap, a = fastest_along(v, limits)
     grows = np.sign(b)  # 1 or -1: direction along V_r in which the singular value grows
-    clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
+    clear = mode.sigma > WEAK.clear
     back = dot(v, away, v.shape[0])
     if abs(back) < WEAK.known and clear:
         bring_along(v, away, grows, 1.0)
@@ -207,7 +160,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
 
     Returns whether the target is out of reach along one of them.
     """
-    n, m = s.J.shape
+    m = s.J.shape[1]
     rate, away, state = own.motion[1], own.away, own.state
     near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
     for r in range(m):
@@ -217,21 +170,18 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
             forget_default(state, away)
         near = True
         left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
-        free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
-        if not begin_mode(s, r, free, moved + h * gain * left, away):
+        if not mode_direction(s.W, s.sv, r, away, moved + h * gain * left, s.V[r]):
+            s.lost[r], s.xk[r] = 1.0, 0.0
             continue
-        for part in range(-n if free else 0, 3):
-            if part == ALONG and free:
-                thin = bent_direction(s.W, s.V[r], s.sv, r, s.null)
-            speed = probe_mode(s, r, part, rate, h)
+        speed = 0.0
+        for part in range(3):
+            speed = mode_probe(s.V[r], rate, part, h, s.x1)
+            copy(s.x1, s.x2)
             bend(task, look, s, True)
-            note_curve(s, r, part)
+            s.t[part] = dot(s.U[r], s.bias, m)
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-        mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
+        mode = WeakMode(r, s.sv[r], rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        # Motion along the rest of the gradient, across the replaced direction, is damped as in `hold_back`.
-        if free and out:
-            s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out
     remember(state, near, beyond, h)
     return beyond

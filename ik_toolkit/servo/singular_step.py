@@ -11,10 +11,6 @@ smoothly to the closest pose without stepping over it, and no direction is dampe
 negative, the error can be closed by bending the arm: at sigma_k = 0, where the first order shows no way, the joints go back to
 the side from which they came. If both sigma_k and H_k are near 0, a Newton step is undefined, and the joints keep their
 present motion, which fades.
-
-When a redundant arm is stretched out, two joint directions hardly move the tip: bending, and a rotation of the bent
-arm. v_k is any mixture of the two and may change with every step. While the target is out of reach, v_k is therefore replaced by
-the direction in which b_k is largest, and the side from which the joints came is remembered along that direction.
 """
 
 import math
@@ -204,34 +200,6 @@ def mode_direction(W, sv, r, away, way, v):
 
 
 @inner
-def begin_bent(W, v, sigma, r, away, x):
-    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or v (n,)."""
-    copy(away, x)
-    size = leave_modes(W, sigma, r, x)
-    for i in range(x.shape[0]):
-        x[i] = x[i] / size if size > WEAK.known else v[i]
-
-
-@inner
-def bent_direction(W, v, sigma, r, slope):
-    """Make v (n,) the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
-
-    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
-    to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
-    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_bent` wrote (one
-    step of a power iteration).
-    """
-    size = leave_modes(W, sigma, r, slope)
-    if size < WEAK.flat:
-        return sigma[r]
-    own = dot(v, slope, v.shape[0])
-    sign = 1.0 if own >= 0.0 else -1.0
-    for i in range(slope.shape[0]):
-        v[i] = sign * slope[i] / size
-    return sigma[r] * abs(own) / size
-
-
-@inner
 def take_out(J, W, U, V, lost, f, G):
     """Remove the task directions marked in lost (m,) from J and the twist f; return how many were removed.
 
@@ -313,27 +281,3 @@ def along_lost(V, lost, xk, x, speeds):
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V[r], x, xk[r] if speeds > 0.0 else 0.0, 1.0)
-
-
-@inner
-def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set the part of the rates x (n,) along slope_k to pull[k] slope_k, which reduces the error, or to 0 if `speeds` is 0.
-
-    slope_k is the part of sigma_k v_k that is perpendicular to V_k, the direction that replaces v_k (see `bent_direction`).
-    pull (m,): rates per unit of slope_k; if pull[k] is 0, the rates stay. The change is faded in while sigma_k grows from half of
-    WEAK.lost to WEAK.lost.
-    """
-    n = x.shape[0]
-    for r in range(pull.shape[0]):
-        share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)
-        if pull[r] == 0.0 or share <= 0.0:
-            continue
-        own, size, part = dot(V[r], W[r], n), 0.0, 0.0
-        for i in range(n):
-            slope = W[r, i] - own * V[r, i]
-            size += slope * slope
-            part += slope * x[i]
-        if size > WEAK.zero * WEAK.zero:
-            more = share * (speeds * pull[r] - part / size)
-            add_multiple(x, more, W[r], n)
-            add_multiple(x, -more * own, V[r], n)

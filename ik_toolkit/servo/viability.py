@@ -51,7 +51,9 @@ class Margins(NamedTuple):
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
-    back: float = 0.1  # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
+    back: float = (
+        0.1  # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
+    )
 
 
 MARGIN = Margins()
@@ -67,7 +69,9 @@ class Calming(NamedTuple):
     reversals: float = 2.0  # so many reversals in a row, each within `window` of the last, make a joint oscillate
     window: float = 0.05  # [s]
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    lasting: float = 0.2  # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
+    lasting: float = (
+        0.2  # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
+    )
     # [1/s] Per second, the speed of an oscillating joint may grow by `gain` times its speed limit plus `growth` times its speed.
     gain: float = 0.75
     growth: float = 10.0
@@ -207,9 +211,9 @@ def boxes(q, rate, limits, gamma, h, late, box):
     """
     recovering = False
     for i in range(q.shape[0]):
-        box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
-            q[i], rate[i], limits[LIMIT.lowest, i], limits[LIMIT.highest, i], limits[LIMIT.speed, i], limits[LIMIT.acceleration, i], gamma, h, late
-        )
+        lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]  # in the order of LimitRows
+        found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
+        box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
         recovering = recovering or (box.why_top[i] & RECOVERING) > 0
     return recovering
 
@@ -237,7 +241,7 @@ def watch(swings, rate, x, size, gamma, h):
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most, or to the nearest rate if none is in both."""
+    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most; without such a rate, to the nearest."""
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
@@ -331,7 +335,9 @@ def time_left(q, goal, limits):
     """Return the least time [s] in which all joints move from q to goal (n,) at full speed, whatever their accelerations."""
     left = 0.0
     for j in range(q.shape[0]):
-        left = max(left, abs(goal[j] - q[j]) / (limits[LIMIT.speed, j] if limits[LIMIT.speed, j] < np.inf else UNLIMITED))
+        left = max(
+            left, abs(goal[j] - q[j]) / (limits[LIMIT.speed, j] if limits[LIMIT.speed, j] < np.inf else UNLIMITED)
+        )
     return left
 
 
@@ -344,7 +350,9 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
         way = goal[j] - q[j]
-        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[LIMIT.acceleration, j] / bending(gamma), h)
+        most = approach(
+            abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[LIMIT.acceleration, j] / bending(gamma), h
+        )
         x[j] = math.copysign(min(abs(way) / left if left > 0.0 else 0.0, most), way)
 
 

@@ -202,7 +202,6 @@ class Bench(NamedTuple):
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
-    pull: Array  # (m,) rates per unit of slope for `down_slopes`
     flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
@@ -235,6 +234,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
+        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, (rows, n), rows,
     )))  # fmt: skip
