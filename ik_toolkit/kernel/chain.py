@@ -67,10 +67,7 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n).
-
-    The same as `poses_at`, but in numpy instead of compiled code, so that loading a robot compiles nothing.
-    """
+    """Return what `poses_at` returns, by numpy instead of compiled code, so that loading a robot compiles nothing."""
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
     for M, flat in ((base, ends[:12]), (tip, ends[12:24])):

@@ -14,7 +14,7 @@ from .checks import CONVERGED
 from .dispatch import problem_on
 from .limits import hold
 from .linalg import dot
-from .null_space import REFERENCE, make_bounds, move
+from .null_space import REFERENCE, add_inside, make_bounds
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
 
@@ -103,7 +103,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     p.head_for(T)
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
-    move(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
+    add_inside(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
         e = p.evaluate(s.q)
@@ -129,7 +129,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
             size = step_down(p, error, share * value, weights, box, pressed)
         if size < DOWN.smallest or share > DOWN.most:
             break
-        move(s.q, s.dq, 1.0, box)
+        add_inside(s.q, s.dq, 1.0, box)
     row[AT.evaluations] += made
     if made > 1:
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)

@@ -39,13 +39,11 @@ class LevelSteps(NamedTuple):
     first_order: float = 1e-6
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
-    pivot: float = (
-        1e-4  # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
-    )
+    # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
+    pivot: float = 1e-4
     flat: float = 1e-3  # smallest curvature that a level acts on; flatter directions are left to the next level
-    flat_reach: float = (
-        1e-6  # the same for a position out of reach, where a joint may still change the error by micrometres
-    )
+    # the same for a position out of reach, where a joint may still change the error by micrometres
+    flat_reach: float = 1e-6
     longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
     same: float = 0.02  # minima are the same if their errors differ by less than this share
@@ -53,9 +51,8 @@ class LevelSteps(NamedTuple):
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
     most: int = 20  # it also ends after so many attempts if any has reached level 0
-    at_once: int = (
-        48  # attempts with all errors at one level, if there are at least as many joints as errors that count
-    )
+    # attempts with all errors at one level, if there are at least as many joints as errors that count
+    at_once: int = 48
     # the same for fewer joints: with them 9 of 1,000 reachable poses of the SO-101 are missed, without them 50
     at_once_few: int = 3
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints

@@ -99,7 +99,7 @@ def objective_goal(what, ends, ref, i):
 
 
 @inline
-def move(q, dq, factor, box):
+def add_inside(q, dq, factor, box):
     """Add factor * dq to q, inside the bounds."""
     for i in range(q.shape[0]):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
@@ -123,7 +123,7 @@ def onto_target(p, weights, box, enough):
             p.damped(e, DAMPING)
             if not hold(s.q, s.dq, s.w, box):
                 break
-        move(s.q, s.dq, 1.0, box)
+        add_inside(s.q, s.dq, 1.0, box)
     return e
 
 
@@ -251,7 +251,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         if better:
             copy(old, before)
             copy(dq, way)
-        move(q, dq, gain * min(1.0, NULL.longest / size), box)
+        add_inside(q, dq, gain * min(1.0, NULL.longest / size), box)
     if taken > 0:
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
         p.report(BEST_OF_ALL, row)

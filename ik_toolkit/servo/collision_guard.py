@@ -21,18 +21,15 @@ CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten tim
 class Guarding(NamedTuple):
     """How the arm is slowed near obstacles, and how much is done to prove a step free of contact."""
 
-    keep: float = (
-        0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
-    )
+    # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
+    keep: float = 0.005
     influence: float = 0.1  # [m] distance between two bodies below which their inequality applies
     # [m/s] approach speed allowed at the distance `influence`; it falls linearly to 0 at `keep`, with a time constant of 0.1 s
     speed: float = 1.0
-    flat: float = (
-        1e-9  # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
-    )
-    share: float = (
-        0.1  # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
-    )
+    # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
+    flat: float = 1e-9
+    # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
+    share: float = 0.1
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
     looks: int = 12
@@ -60,7 +57,7 @@ class Path(NamedTuple):
     aside: np.ndarray
 
 
-def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
+def stopping_distances(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
     """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
 
     a: deceleration; late [s]: longest step; gamma: weight of the new rate in a step. This is `viability.stopping` for arrays.
@@ -292,16 +289,16 @@ class Guard:
         position limit is nearer than that brakes on its own.
         """
         q, rate = Q[-1], R[-1]
-        lower, upper = self.limits[:2]
+        lower, upper = self.limits[[LIMIT.lowest, LIMIT.highest]]
         speed, most, late = np.abs(rate), self._most, max(self.late, h)
         with np.errstate(divide="ignore", invalid="ignore"):
             even = np.where(speed > 0.0, most / speed, np.inf).min()
             if even <= 0.0:
                 return None
             room = np.where(rate > 0.0, upper - q, q - lower)
-            time = stopping(1.0, self.gamma, even, late)
+            time = stopping_distances(1.0, self.gamma, even, late)
             alone = (speed > 0.0) & (speed * time > room)
-            aside = np.where(alone, stopping(speed, self.gamma, most, late), 0.0)
+            aside = np.where(alone, stopping_distances(speed, self.gamma, most, late), 0.0)
             move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move

@@ -17,7 +17,7 @@ import numpy as np
 from ..compile.jit import build, compiled, inline, inner, spliced
 from ..kernel.linalg import dot
 from ..kernel.records import Array, copy
-from .equality_qp import problem_on, problem_space, resized
+from .equality_qp import program_on, program_space, resized
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, DIRECT = range(2)  # modes, explained above: least error now, or the tip falls behind but keeps its direction
@@ -66,13 +66,13 @@ class StepTaken(NamedTuple):
 @inline
 def room_space(n, m, rows):
     """Return the number of floats that `room_on` needs for n joints, m task rows and `rows` inequalities."""
-    return problem_space(n + m + 1, rows + m + 1)
+    return program_space(n + m + 1, rows + m + 1)
 
 
 @spliced
 def room_on(block, n, m, rows):
     """Divide an array of zeros into the arrays of a `TwoLevels` problem for n joints, m task rows and `rows` inequalities."""
-    return problem_on(block, n + m + 1, rows + m + 1)
+    return program_on(block, n + m + 1, rows + m + 1)
 
 
 @build

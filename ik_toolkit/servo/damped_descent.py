@@ -161,12 +161,12 @@ def descend(law, s, limits, h, state):
     for i in range(n):
         limited = limited or limits[LIMIT.acceleration, i] < math.inf
     if limited:
-        brake(s, limits, mu, h)
+        stop_in_time(s, limits, mu, h)
     return mu
 
 
 @inner
-def brake(s, limits, mu, h):
+def stop_in_time(s, limits, mu, h):
     """Narrow the rate bounds so that each joint can stop at the end of the move that a damped step without bounds would make.
 
     Joints at limits that would have to go beyond them are left out of this damped step.

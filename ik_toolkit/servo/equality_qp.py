@@ -72,13 +72,13 @@ class TwoLevels(NamedTuple):
 
 
 @inline
-def problem_space(N, K):
+def program_space(N, K):
     """Return the number of floats that a problem with N unknowns and K rows needs."""
     return 2 * K * N + 3 * K * K + 10 * N + 14 * K + 26 * LINE
 
 
 @spliced
-def problem_on(block, N, K):
+def program_on(block, N, K):
     """Divide an array of zeros into the arrays of a problem with up to N unknowns and K rows."""
     P, W, L, U = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K)))
     y, want, floor, roof, scaling = cut(block, np.float64, (N, N, N, N, N))

@@ -103,10 +103,8 @@ def begin(p, cold):
         i = c - p.planes
         if i >= 0 and p.floor[i] >= p.roof[i]:
             p.active[c] = 1
-        elif cold or (
-            i >= 0 and (p.floor[i] if p.active[c] < 0 else p.roof[i] if p.active[c] > 0 else 0.0) in (-np.inf, np.inf)
-        ):
-            p.active[c] = 0
+        elif cold or (i >= 0 and p.active[c] != 0 and abs(p.floor[i] if p.active[c] < 0 else p.roof[i]) == np.inf):
+            p.active[c] = 0  # An infinite bound cannot be held.
 
 
 @inner
@@ -224,8 +222,7 @@ def exchange(p, dependent, newest):
             if a < one or (a == one and b < two):
                 one, two, blocking = a, b, c
     for c in range(p.planes + p.size if blocking != NONE else 0):
-        p.now.first[c] -= (
-            one * p.new.first[c]
-        )  # The new constraint's own coefficient is -side, so its multiplier grows.
+        # The new constraint's own coefficient is -side, so its multiplier grows.
+        p.now.first[c] -= one * p.new.first[c]
         p.now.second[c] -= two * p.new.first[c]
     return blocking

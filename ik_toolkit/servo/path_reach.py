@@ -15,20 +15,15 @@ from ..text import angle, length
 class Surveying(NamedTuple):
     """How finely a path is looked at, and which changes are tried where a part of it is out of reach."""
 
-    close: tuple[float, float] = (
-        1e-4,
-        2e-4,
-    )  # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
+    # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
+    close: tuple[float, float] = (1e-4, 2e-4)
     dense: int = 1000  # number of samples from which the length of a path is measured
-    step: tuple[float, float] = (
-        0.02,
-        0.05,
-    )  # largest distance between two poses: as a share of the arm's reach, and in rad
+    # largest distance between two poses: as a share of the arm's reach, and in rad
+    step: tuple[float, float] = (0.02, 0.05)
     fewest: int = 40  # least number of poses tested along a path
     most: int = 1000  # largest number of poses tested along a path
-    halvings: int = (
-        10  # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
-    )
+    # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
+    halvings: int = 10
     # A joint nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
     boundary: float = 1e-3
     starts: int = 24  # number of attempts to find another posture for the start of a path
@@ -109,7 +104,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVE
     Returns:
         The survey.
     """
-    t, along, turning = samples_of(robot, reference, fewest)
+    t, along, turning = path_samples(robot, reference, fewest)
     q = np.empty((len(t), robot.n))
     until, stop = None, float(along[-1])
     joints: tuple[str, ...] = ()
@@ -126,7 +121,7 @@ def trace(
     robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return times (K,) [s] and joint values (K, n) as `survey` does, or None if a pose is out of reach."""
-    t, _, _ = samples_of(robot, reference, fewest)
+    t, _, _ = path_samples(robot, reference, fewest)
     q = []
     for found in _followed(robot, targets_at(reference, t), q0, options):
         if not found.success:
@@ -294,7 +289,7 @@ def targets_at(reference: References, t: np.ndarray) -> list[Any]:
     return [*(T[:, :3, 3].copy() if reference.position_only else T)]
 
 
-def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
+def path_samples(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return times [s] at even distances along a path, the path's length up to each, and whether the tip only turns.
 
     fewest: least number of distances. Lengths are in m, or in rad if the tip only turns.

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..motion.reference import Reference, checked
-from ..motion.time_law import coordinate_at, smoothed, time_law, times_of
+from ..motion.time_law import coordinate_at, evenly, resampled, smoothed, time_law, times_of
 from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
-from .path_reach import bound_search, samples_of, singular_sides, targets_at
+from .path_reach import bound_search, path_samples, singular_sides, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
@@ -28,32 +28,28 @@ class Retiming(NamedTuple):
     """What the time law of a run may use, which other runs are tried, and how the joint path for it is found."""
 
     quick: float = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-    speed: float = (
-        0.98  # share of the speed limits that a time law uses, because a run differs a little from the planned motion
-    )
-    # Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
+    # share of the speed limits that a time law uses, because a run differs a little from the planned motion
+    speed: float = 0.98
+    # shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed
     acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
     tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
     faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
-    joints: float = 1.2  # A raise multiplies the joint limits of redundant robots by this factor.
-    tip: float = 1.5  # A raise multiplies the allowed tip error by this factor.
+    joints: float = 1.2  # factor of a raise on the joint limits of redundant robots
+    tip: float = 1.5  # factor of a raise on the allowed tip error
     far_off: float = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
-    helped: float = (
-        0.8  # Another run is tried only if the last one missed at most this share of what the one before it missed.
-    )
+    # Another run is tried only if the last one missed at most this share of what the one before it missed.
+    helped: float = 0.8
     followed: float = 0.2  # error of a step, as a share of the tolerance, while a joint path is computed
     fewest: int = 400  # least number of steps in which a joint path is computed
-    harder: tuple[float, ...] = (
-        10.0,
-        30.0,
-    )  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
+    # [1/s] gains of limit avoidance, tried if the default gain leads into limits
+    harder: tuple[float, ...] = (10.0, 30.0)
     poses: int = 40  # least number of poses that must all be in reach before `solve_path` is called
     most_poses: int = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
     exact: float = (
-        1e-6  # [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples are no accelerations
+        1e-6  # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
     )
     stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
     lead: float = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
@@ -151,8 +147,9 @@ class Run:
 
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
-        limits, here = self.tracker._limits, Way(self.times, NOWHERE, *self._wishes())
-        from_rest = self._at_rest() and np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
+        limits, secondary = self.tracker._limits, self.tracker.secondary
+        here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
+        from_rest = at_rest(self.tracker) and np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
@@ -161,10 +158,6 @@ class Run:
             self._slowly(way, from_rest)
             if min(taken.missed for taken in self.made) == 0:
                 return
-
-    def _at_rest(self) -> bool:
-        """Return whether the joints are at rest at the start."""
-        return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
         """Take runs along time laws for a joint path, with less and less acceleration until one succeeds; then try faster ones."""
@@ -178,9 +171,7 @@ class Run:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # The next law uses the path that the joints took.
-                way = way._replace(
-                    Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
-                )
+                way = way._replace(Q=resampled(way.s, clock.s[moved], taken.Q[moved]))
             again = share < RETIME.acceleration[0]
             if again or self._excess(taken.E).max() < RETIME.far_off:
                 self._lower(top, way, taken)
@@ -208,11 +199,6 @@ class Run:
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
             here = slice(*np.searchsorted(way.s, ends))
             top[here] = np.minimum(top[here], np.sqrt(max(RETIME.enough / excess[k], RETIME.least)) * clock.rate[k])
-
-    def _wishes(self) -> tuple[float, np.ndarray]:
-        """Return the caller's gain [1/s] of limit avoidance, and posture with its gain (2, n)."""
-        secondary = self.tracker.secondary
-        return secondary.avoid, secondary.wish[:2].copy()
 
     def _ways(self, here: Way) -> Iterator[Way]:
         """Yield joint paths along the reference, best first."""
@@ -248,7 +234,7 @@ class Run:
 
     def _besides(self, here: Way) -> Iterator[Way]:
         """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
-        lower, upper = self.tracker._limits[:2]
+        lower, upper = self.tracker._limits[[LIMIT.lowest, LIMIT.highest]]
         bounded = np.isfinite(upper - lower)
         for avoid in RETIME.harder:
             yield here._replace(avoid=avoid)
@@ -257,15 +243,15 @@ class Run:
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
         """Return the joint path (K + 1, n) of the method without speed and acceleration limits, and how many samples it misses."""
-        limits = self.tracker._limits
+        limits, state = self.tracker._limits, self.tracker._state
         self._begin(way)
-        fast = limits[2:].copy()
-        limits[2:] = np.inf
-        if self.tracker._state[laws.STATE.start] == laws.GIVEN:
-            self.tracker._state[laws.STATE.start] = laws.MOVING
+        kept = limits.copy()
+        limits[[LIMIT.speed, LIMIT.acceleration]] = np.inf
+        if state[laws.STATE.start] == laws.GIVEN:
+            state[laws.STATE.start] = laws.MOVING
         made: list = []
         self._steps(samples, way, made, Counter())
-        limits[2:] = fast
+        limits[:] = kept
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
         off[: int(np.argmin(np.append(off, False)))] = False  # Misses while the reference is approached do not count.
@@ -277,25 +263,18 @@ class Run:
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
         reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
         anywhere = bound_search(robot, **self.counts)
-        if not all(
-            anywhere(one, self.q0).success
-            for one in targets_at(reference, samples_of(robot, reference, RETIME.poses)[0])
-        ):
+        targets = targets_at(reference, path_samples(robot, reference, RETIME.poses)[0])
+        if not all(anywhere(one, self.q0).success for one in targets):
             return None
         from ..paths.solve_path import solve_path
 
-        some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), RETIME.most_poses)).astype(int))
+        some = evenly(len(samples.T), RETIME.most_poses)
         poses = samples.T[some, :, :3, 3] if self.references[0].position_only else samples.T[some]
         found = solve_path(
             robot, robot.for_tips({tip: poses[:, f] for f, tip in enumerate(robot.tips)}), q0=self.q0, reconfigurations="none",
             max_step=RETIME.stride, position_tolerance=RETIME.exact, orientation_tolerance=RETIME.exact, **self.counts,
         )  # fmt: skip
-        every = np.arange(len(samples.T))
-        return (
-            np.stack([np.interp(every, some, one) for one in found.q.T / unit[:, None]], axis=1)
-            if found.success
-            else None
-        )
+        return resampled(np.arange(len(samples.T)), some, found.q / unit) if found.success else None
 
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
         """Return the fastest clock along a joint path, with rates up to top (K + 1,), and up to `start` at its beginning.
@@ -311,13 +290,10 @@ class Run:
         # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
-            allowed = np.tile(
-                np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3),
-                len(self.references),
-            )
+            allowed = np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3)
             counted = self.tracker._settings.counts[0] > 0.0
             speed = np.append(speed, np.full(len(counted), np.inf))
-            most = np.append(most, np.where(counted, allowed, np.inf))
+            most = np.append(most, np.where(counted, np.tile(allowed, len(self.references)), np.inf))
         rate, joint = time_law(slope, bend, s, speed, most, top=top, gain=RETIME.quick, start=start)
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
@@ -335,7 +311,7 @@ class Run:
         if guard is None:
             return rates
         slope = np.gradient(way.Q, way.s, axis=0) * unit
-        some = np.unique(np.linspace(0, len(rates) - 1, min(len(rates), RETIME.fewest)).astype(int))
+        some = evenly(len(rates), RETIME.fewest)
         for k in some:
             guard.restart(way.Q[k] * unit)
             r = guard.rows(way.Q[k] * unit, slope[k], self.dt)
@@ -356,7 +332,7 @@ class Run:
         """Run from the start to the end of a clock, or until Ctrl-C; return the run."""
         began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         if way.led:
-            path = np.stack([np.interp(clock.s, way.s, one) for one in way.Q.T], axis=1)
+            path = resampled(clock.s, way.s, way.Q)
             robot, posed = self.tracker.robot, [not one.position_only for one in self.references]
             way = way._replace(Q=path, sides=singular_sides(robot, posed, path * robot.chain.unit))
         self._begin(way)
@@ -419,3 +395,8 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]
     return samples_from(np.stack([one[0] for one in made], axis=1), V * rate, A * rate**2 + V * gain)
+
+
+def at_rest(tracker: Tracker) -> bool:
+    """Return whether the joints start at rest: their rates are given, and 0."""
+    return tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any()

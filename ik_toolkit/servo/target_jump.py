@@ -35,9 +35,8 @@ class Leaping(NamedTuple):
     near: float = 2e-3  # [m] A smaller error (in which 1 rad counts as LEVER) is left to the tracking method.
     # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
     slow: float = 0.5
-    sooner: float = (
-        0.5  # The posture that moves slow joints less is taken if its move takes less than this share of the time.
-    )
+    # The posture that moves slow joints less is taken if its move takes less than this share of the time.
+    sooner: float = 0.5
     close: float = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 

@@ -93,7 +93,7 @@ def difference(T0, T1, dt, V, first):
 
 
 @inner
-def gap(A, B, first):
+def distance_between(A, B, first):
     """Return the norm of the difference between the numbers A (K,) and those of B from index `first` on."""
     total = 0.0
     for k in range(A.shape[0]):
@@ -105,8 +105,8 @@ def gap(A, B, first):
 def look(T, stand, dt):
     """Update `stand` (5 + 16 F,), which says whether the target stands still; T (2, F, 4, 4): last two targets, dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
-    moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
-    if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
+    moved, most = distance_between(now, flat(T[0]), 0), STILL * dt / WAIT
+    if stand[at.known] == 0.0 or moved > JUMP or distance_between(now, stand, first) > STILL:
         stand[at.leapt] = 1.0 if moved > JUMP or (stand[at.leapt] != 0.0 and moved <= most) else 0.0
         stand[at.seconds], stand[at.known] = 0.0, 1.0
         for k in range(now.shape[0]):

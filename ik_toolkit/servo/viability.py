@@ -13,9 +13,6 @@ which `stopping` returns. The reason is that a braking step from v to w covers n
 distances from v and from w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a
 long last step is the worst case.) A state is viable if its stopping distance is no longer than the distance to the limit.
 `joint_box` only allows rates that lead to viable states, so no later step has to break one limit to keep another.
-
-The module also takes single steps of joints towards given values or along a known motion (`travel`), and computes the path of a
-full brake (`brake`), which must be free of contact before a step is taken.
 """
 
 import math
@@ -35,28 +32,27 @@ UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed lim
 
 
 class LimitRows(NamedTuple):
-    """Names for the rows of an array of limits (4, n) in rad or arm reaches, per s, per s^2; LIMIT.speed etc. are the indices."""
+    """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
 
-    lowest: int  # Kernel records have methods `lower` and `upper`, whose names fields must not have.
-    highest: int
-    speed: int
-    acceleration: int
-
-
-LIMIT = LimitRows._make(range(len(LimitRows._fields)))
+    lowest: int = 0  # `lower` and `upper` are methods of kernel records, whose names no field may have
+    highest: int = 1
+    speed: int = 2
+    acceleration: int = 3
 
 
-class Margins(NamedTuple):
+LIMIT = LimitRows()
+
+
+class LimitMargins(NamedTuple):
     """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
-    back: float = (
-        0.1  # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
-    )
+    # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
+    back: float = 0.1
 
 
-MARGIN = Margins()
+MARGIN = LimitMargins()
 
 
 class Calming(NamedTuple):
@@ -66,12 +62,11 @@ class Calming(NamedTuple):
     """
 
     slow: float = 0.05  # Only motions faster than this share of the speed limit count.
-    reversals: float = 2.0  # so many reversals in a row, each within `window` of the last, make a joint oscillate
-    window: float = 0.05  # [s]
+    reversals: float = 2.0  # so many reversals in a row make a joint oscillate
+    window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    lasting: float = (
-        0.2  # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
-    )
+    # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
+    lasting: float = 0.2
     # [1/s] Per second, the speed of an oscillating joint may grow by `gain` times its speed limit plus `growth` times its speed.
     gain: float = 0.75
     growth: float = 10.0
@@ -254,8 +249,7 @@ def narrow(i, least, most, box):
 def calm(rate, size, swings, h, box):
     """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place); braking stays free.
 
-    After each reversal the joint has to gain its speed again from rest. rate (n,): present rates; size (n,): the joints' speed
-    limits, or other speeds to compare with; swings: see `watch`.
+    rate (n,): present rates; size (n,): the joints' speed limits, or other speeds to compare with; swings: see `watch`.
     """
     for i in range(rate.shape[0]):
         if swings[0, i] < CALMING.reversals:
@@ -335,9 +329,8 @@ def time_left(q, goal, limits):
     """Return the least time [s] in which all joints move from q to goal (n,) at full speed, whatever their accelerations."""
     left = 0.0
     for j in range(q.shape[0]):
-        left = max(
-            left, abs(goal[j] - q[j]) / (limits[LIMIT.speed, j] if limits[LIMIT.speed, j] < np.inf else UNLIMITED)
-        )
+        speed = limits[LIMIT.speed, j]
+        left = max(left, abs(goal[j] - q[j]) / (speed if speed < np.inf else UNLIMITED))
     return left
 
 
@@ -349,10 +342,8 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
     """
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
-        way = goal[j] - q[j]
-        most = approach(
-            abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[LIMIT.acceleration, j] / bending(gamma), h
-        )
+        way, a = goal[j] - q[j], limits[LIMIT.acceleration, j] / bending(gamma)
+        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, a, h)
         x[j] = math.copysign(min(abs(way) / left if left > 0.0 else 0.0, most), way)
 
 

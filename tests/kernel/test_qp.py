@@ -22,8 +22,8 @@ def many(count):
 def kernel(C, d, want, low, high, A, b, state, y, multipliers):
     """|C y - d|^2 least, then |y - want|^2; multipliers (2, n + R) of the first and of the second, the rows' in their length."""
     n, count, r = want.shape[0], b.shape[0], d.shape[0]
-    block = np.zeros(equality_qp.problem_space(n, count + r + 1))
-    p = equality_qp.resized(equality_qp.problem_on(view(block), n, count + r + 1), n, count, r)
+    block = np.zeros(equality_qp.program_space(n, count + r + 1))
+    p = equality_qp.resized(equality_qp.program_on(view(block), n, count + r + 1), n, count, r)
     for i in range(n):
         p.want[i], p.floor[i], p.roof[i], p.active[count + i] = want[i], low[i], high[i], state[i]
     for k in range(count + r):

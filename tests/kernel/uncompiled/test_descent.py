@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import damped_descent
-from ik_toolkit.servo.damped_descent import adapt, brake, descend, feedback, notice, stuck
+from ik_toolkit.servo.damped_descent import adapt, descend, feedback, notice, stop_in_time, stuck
 from ik_toolkit.servo.laws import AA, CA, CLIP, CV, STATE, Law
 from ik_toolkit.servo.viability import CALMED, POSITION, VELOCITY, approach
 
@@ -203,7 +203,7 @@ def test_joints_can_stop_at_the_end_of_their_way(n):
     way = np.zeros(n)
     way[free] = np.linalg.solve(s.J[free] @ s.J[free].T + mu * np.eye(n - 1), slope[free])
     floor, roof = s.floor.copy(), s.roof.copy()
-    brake(s, limits, mu, H)
+    stop_in_time(s, limits, mu, H)
     for i in range(n):
         most = approach(abs(way[i]), 0.0, 1.0, H, 5.0, H) if i != 1 else np.inf
         assert s.roof[i] == pytest.approx(min(roof[i], most)) and s.floor[i] == pytest.approx(max(floor[i], -most))

@@ -160,7 +160,7 @@ def test_signs_and_shares_of_multipliers():
         assert hierarchical_qp.share(*(equality_qp.Pair(*np.array(one)[:, None]) for one in (now, new)), 0, 1) == want
     now, new = (equality_qp.Pair(*np.array(one)[:, None]) for one in ((0.0, -2.0), (0.0, 2.0)))
     assert hierarchical_qp.share(now, new, 0, -1) == (0.5, 0.0)
-    p = equality_qp.problem_on(np.zeros(equality_qp.problem_space(2, 1)), 2, 1)
+    p = equality_qp.program_on(np.zeros(equality_qp.program_space(2, 1)), 2, 1)
     p = equality_qp.resized(p, 2, 1, 0)
     p.P[0], p.rhs[0], p.floor[:], p.roof[:] = 1.0, 1.8, -1.0, 1.0
     for y, want in (((0.5, 1.4), (2, 1)), ((-1.4, 0.5), (1, -1)), ((0.95, 0.95), (0, 1))):
