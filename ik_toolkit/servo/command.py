@@ -87,8 +87,9 @@ def find_wishes(law, s, limits, wish, base):
     n, m = s.J.shape
     if law.mode == CLIP:
         return False
+    posture, gain, velocity = wish[0], wish[1], wish[2]
     for i in range(n):
-        s.g[i] = wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
+        s.g[i] = gain[i] * (posture[i] - s.at[i]) + velocity[i]
     if law.avoid > 0.0:
         away_from_limits(s.at, limits, law.avoid, s.g)
     if not any_of(s.g):

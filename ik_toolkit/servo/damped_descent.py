@@ -107,10 +107,11 @@ def notice(law, before, x, size, swings, code, square, h, state):
     """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
+    reversals, since = swings[0], swings[1]
     for i in range(x.shape[0]):
         part = before[i] * x[i] / (size[i] * size[i])
         on, back, speed = on + max(part, 0.0), back - min(part, 0.0), speed + x[i] * x[i]
-        swing = swing or (swings[0, i] >= DESCENT.turns and swings[1, i] == 0.0)
+        swing = swing or (reversals[i] >= DESCENT.turns and since[i] == 0.0)
         hindered, held = hindered or (code[i] & (POSITION | ROW)) > 0, held or code[i] > 0
     hindered = hindered or (not held and speed < (DESCENT.idle * feedback(law, h) * error) ** 2)
     turned = swing or back > DESCENT.back * on

@@ -85,7 +85,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
 def take_stock(task, look, s, V, A, plain, counts, E):
     """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
 
-    E is in base axes, reduced by the slack (dead band) counts[2].
+    E is in base axes, reduced by the slack (dead band) of each error.
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
@@ -93,8 +93,9 @@ def take_stock(task, look, s, V, A, plain, counts, E):
     task.moving(V, s.f)
     task.moving(A, s.a)
     task.base_axes(s.e, E)
+    slack = counts[2]
     for k in range(E.shape[0]):
-        E[k] -= min(max(E[k], -counts[2, k]), counts[2, k])
+        E[k] -= min(max(E[k], -slack[k]), slack[k])
     if not plain:
         task.mirrors(s.flip)
         lay_aside(s.flip, s.J, s.e)

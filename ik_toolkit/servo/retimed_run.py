@@ -121,6 +121,9 @@ class Run:
         self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` samples `fine` more densely
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
+        weights, _, _ = tracker._settings.counts
+        self.counted = weights > 0.0  # (m,) which errors count
+        self.redundant = tracker.robot.n > self.counted.sum()
         self.made: list[Taken] = []
         self.interrupted = False
 
@@ -212,7 +215,7 @@ class Run:
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
         found: list[tuple[int, int, Way]] = []  # number of samples missed, number of steps, path
-        for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
+        for way in (here, *(self._besides(here) if plain and self.redundant else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
             found.append((off, len(self._law(way, RETIME.acceleration[0], np.ones(len(s)), np.inf).s), way))
@@ -227,10 +230,6 @@ class Run:
                 yield Way(s, planned, 0.0, here.posture, led=True)
         if found[0][0] > 0:
             yield found[0][2]
-
-    def _redundant(self) -> bool:
-        """Return whether there are more joints than task coordinates."""
-        return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
         """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
@@ -285,15 +284,14 @@ class Run:
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        more = RETIME.joints**over if self._redundant() else 1.0
+        more = RETIME.joints**over if self.redundant else 1.0
         speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share * limits[LIMIT.acceleration]
         # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3)
-            counted = self.tracker._settings.counts[0] > 0.0
-            speed = np.append(speed, np.full(len(counted), np.inf))
-            most = np.append(most, np.where(counted, np.tile(allowed, len(self.references)), np.inf))
+            speed = np.append(speed, np.full(len(self.counted), np.inf))
+            most = np.append(most, np.where(self.counted, np.tile(allowed, len(self.references)), np.inf))
         rate, joint = time_law(slope, bend, s, speed, most, top=top, gain=RETIME.quick, start=start)
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)

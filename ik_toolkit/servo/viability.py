@@ -164,9 +164,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
     If the limits contradict each other (a start outside them, or limits that were changed), both rates are the best compromise.
     It keeps the acceleration limit first, then the speed limit, then moves back inside; its bits then include RECOVERING.
-
-    q, v: value and rate; lower, upper, speed, a: limits; gamma: weight of the next rate in the motion; h, late [s]:
-    this step and the longest later one.
+    q, v: value and rate; gamma: weight of the next rate in the motion; h, late [s]: this step and the longest later one.
     """
     bend = bending(gamma)
     a = a / bend
@@ -220,18 +218,19 @@ def watch(swings, rate, x, size, gamma, h):
     swings (3, n), in place: number of reversals in a row, time since the last reversal [s], and sign of the last motion that
     counts. size (n,): a speed for each joint; only motions faster than CALMING.slow times this speed count. `calm` uses the counts.
     """
+    reversals, since, last = swings[0], swings[1], swings[2]
     for i in range(x.shape[0]):
-        swings[1, i] += h
+        since[i] += h
         v = (1.0 - gamma) * rate[i] + gamma * x[i]
         side = 0.0 if abs(v) <= CALMING.slow * size[i] else 1.0 if v > 0.0 else -1.0
-        turned = side * swings[2, i] < 0.0
+        turned = side * last[i] < 0.0
         if side != 0.0:
-            swings[2, i] = side
+            last[i] = side
         if turned:
-            swings[0, i] += 1.0
-            swings[1, i] = 0.0
-        elif swings[1, i] > (CALMING.window if swings[0, i] < CALMING.reversals else CALMING.hold):
-            swings[0, i] = 0.0
+            reversals[i] += 1.0
+            since[i] = 0.0
+        elif since[i] > (CALMING.window if reversals[i] < CALMING.reversals else CALMING.hold):
+            reversals[i] = 0.0
 
 
 @dual
@@ -251,8 +250,9 @@ def calm(rate, size, swings, h, box):
 
     rate (n,): present rates; size (n,): the joints' speed limits, or other speeds to compare with; swings: see `watch`.
     """
+    reversals = swings[0]
     for i in range(rate.shape[0]):
-        if swings[0, i] < CALMING.reversals:
+        if reversals[i] < CALMING.reversals:
             continue
         gain, more = CALMING.gain * size[i] * h, 1.0 + CALMING.growth * h
         narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, box)
