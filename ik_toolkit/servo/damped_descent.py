@@ -16,7 +16,7 @@ error falls.
 import math
 from typing import NamedTuple
 
-from ..compile.jit import inner
+from ..compile.jit import compiled, inner
 from ..kernel.linalg import cholesky, clear, dot
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
@@ -26,6 +26,7 @@ from .singular_directions import GAIN
 from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
 
+@compiled
 class DampedDescent(NamedTuple):
     """When an arm counts as stuck, and how the share, the factor in the damping mu of its descent, is adapted."""
 
@@ -38,8 +39,8 @@ class DampedDescent(NamedTuple):
     pace: float = 0.1
     # Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
     idle: float = 0.01
-    back: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-    turns: float = 2.0  # An arm is stuck after so many joint reversals.
+    reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
+    reversals: float = 2.0  # An arm is stuck after so many joint reversals.
     forgotten: float = 0.1  # [s] time after which a reversal is forgotten
     first: float = 0.5  # the share at first
     least: float = 0.02  # the least share; below it joints turn back repeatedly
@@ -80,7 +81,9 @@ def stuck(law, s, limits, square, h, state):
         way = min(DESCENT.progress, DESCENT.pace * DESCENT.stalled * fastest(s, limits, error))
         if error < state[STATE.nearest] - way or state[STATE.nearest] == 0.0:
             state[STATE.stalled], state[STATE.nearest] = 0.0, error
-        if (state[STATE.stalled] > DESCENT.stalled or state[STATE.turned] >= DESCENT.turns) and feedback(law, h) > 0.0:
+        if (state[STATE.stalled] > DESCENT.stalled or state[STATE.turned] >= DESCENT.reversals) and feedback(
+            law, h
+        ) > 0.0:
             state[STATE.share], state[STATE.lowest], state[STATE.stalled] = DESCENT.first, 0.0, 0.0
     return state[STATE.share] > 0.0
 
@@ -111,10 +114,10 @@ def notice(law, before, x, size, swings, code, square, h, state):
     for i in range(x.shape[0]):
         part = before[i] * x[i] / (size[i] * size[i])
         on, back, speed = on + max(part, 0.0), back - min(part, 0.0), speed + x[i] * x[i]
-        swing = swing or (reversals[i] >= DESCENT.turns and since[i] == 0.0)
+        swing = swing or (reversals[i] >= DESCENT.reversals and since[i] == 0.0)
         hindered, held = hindered or (code[i] & (POSITION | ROW)) > 0, held or code[i] > 0
     hindered = hindered or (not held and speed < (DESCENT.idle * feedback(law, h) * error) ** 2)
-    turned = swing or back > DESCENT.back * on
+    turned = swing or back > DESCENT.reversing * on
     if state[STATE.share] == 0.0:
         state[STATE.stalled] += h if hindered else 0.0
         if turned and (hindered or held):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compile.jit import inline, inner
+from ..compile.jit import compiled, inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
 from ..kernel.linalg import apply_transposed
@@ -21,6 +21,7 @@ FADING = 0.15  # share of a joint's range, next to each limit, in which the join
 STEP = 1e-5
 
 
+@compiled
 class SlackRules(NamedTuple):
     """How an error with a slack (dead band) is kept inside it."""
 

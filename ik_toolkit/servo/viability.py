@@ -31,6 +31,7 @@ NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
 
 
+@compiled
 class LimitRows(NamedTuple):
     """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
 
@@ -43,18 +44,21 @@ class LimitRows(NamedTuple):
 LIMIT = LimitRows()
 
 
+@compiled
 class LimitMargins(NamedTuple):
     """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
-    # largest speed back inside, as a share of the speed limit, or of 1 rad/s (1 arm reach/s) if that is less
-    back: float = 0.1
+    inwards: float = (
+        0.1  # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
+    )
 
 
 MARGIN = LimitMargins()
 
 
+@compiled
 class Calming(NamedTuple):
     """When a joint counts as oscillating, and how it is calmed.
 
@@ -65,11 +69,11 @@ class Calming(NamedTuple):
     reversals: float = 2.0  # so many reversals in a row make a joint oscillate
     window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    # [s] after a limit, an inequality or a singular pose has hindered the joints, in which they are calmed
-    lasting: float = 0.2
-    # [1/s] Per second, the speed of an oscillating joint may grow by `gain` times its speed limit plus `growth` times its speed.
-    gain: float = 0.75
-    growth: float = 10.0
+    lasting: float = (
+        0.2  # [s] for which joints are calmed after a limit, an inequality or a singular pose hindered them
+    )
+    gain: float = 0.75  # [1/s] The speed of an oscillating joint may grow by this times its speed limit,
+    growth: float = 10.0  # [1/s] plus this times its speed.
 
 
 CALMING = Calming()
@@ -149,13 +153,13 @@ def way_to(limit, q, sign):
 def towards(way, v, speed, gamma, h, a, late):
     """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
 
-    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than MARGIN.back of its speed limit and so
+    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than MARGIN.inwards of its speed limit and so
     that it can stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
     back = approach(-way, -v, gamma, h, a, late)
-    return -min(max(back, 0.0), MARGIN.back * min(speed, 1.0))
+    return -min(max(back, 0.0), MARGIN.inwards * min(speed, 1.0))
 
 
 @dual
