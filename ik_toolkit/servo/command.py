@@ -9,6 +9,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.jit import INLINE, inline, inner
+from ..kernel.limits import LIMIT
 from ..kernel.linalg import add_multiple, any_of, clear, dot
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
@@ -38,7 +39,6 @@ from .laws import (
 from .null_space_motion import away_from_limits, clip_wish, into_null_space, weigh
 from .singular_directions import bend, judge_modes, remember
 from .singular_step import CLOSE, along_lost, begin_anew, hold_back, modes, take_out
-from .viability import LIMIT
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, whole
+from ..kernel.limits import LIMIT
 from ..validate import number
-from .viability import LIMIT
 
 
 class Filter(NamedTuple):

@@ -11,10 +11,10 @@ import numpy as np
 from ..compile.jit import compiled, inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
+from ..kernel.limits import LIMIT
 from ..kernel.linalg import apply_transposed
 from ..validate import number
 from .laws import STATE, apply
-from .viability import LIMIT
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
 # [rad or m, or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step

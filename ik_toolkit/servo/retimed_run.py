@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..kernel.limits import LIMIT
 from ..motion.reference import Reference, checked
 from ..motion.time_law import coordinate_at, evenly, resampled, smoothed, time_law, times_of
 from ..validate import LATE
@@ -20,7 +21,6 @@ from .path_reach import bound_search, path_samples, singular_sides, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
-from .viability import LIMIT
 from .workspace import Samples, new_record
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
+from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
 # Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite. RECOVERING: it was outside its limits.
@@ -29,19 +30,6 @@ from ..kernel.records import Array
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
 NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
-
-
-@compiled
-class LimitRows(NamedTuple):
-    """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
-
-    lowest: int = 0  # `lower` and `upper` are methods of kernel records, whose names no field may have
-    highest: int = 1
-    speed: int = 2
-    acceleration: int = 3
-
-
-LIMIT = LimitRows()
 
 
 @compiled
@@ -153,8 +141,8 @@ def way_to(limit, q, sign):
 def towards(way, v, speed, gamma, h, a, late):
     """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
 
-    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than MARGIN.inwards of its speed limit and so
-    that it can stop at the limit.
+    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed
+    limit, and so that it can stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
@@ -208,7 +196,7 @@ def boxes(q, rate, limits, gamma, h, late, box):
     """
     recovering = False
     for i in range(q.shape[0]):
-        lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]  # in the order of LimitRows
+        lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
         found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
         recovering = recovering or (box.why_top[i] & RECOVERING) > 0
