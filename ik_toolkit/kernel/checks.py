@@ -6,8 +6,8 @@ from typing import NamedTuple
 from ..compile.jit import cached, inner
 from .algebra import V3, at3, put3, rotation_at
 from .counted_error import allowance
-from .linalg import dot
 from .records import WHAT
+from .vectors import dot
 
 # The status codes that compiled solvers return; `solvers.status.Status` explains them to the user.
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)

@@ -13,10 +13,10 @@ from ..compile.jit import cached, inline
 from .checks import CONVERGED
 from .dispatch import problem_on
 from .limits import hold
-from .linalg import dot
 from .null_space import REFERENCE, add_inside, make_bounds
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
+from .vectors import dot, largest
 
 
 class Descent(NamedTuple):
@@ -83,10 +83,7 @@ def step_down(p, error, damping, weights, box, pressed):
             g, w = dot(s.J[i], error, error.shape[0]), weights[i]
             s.w[i] = 0.0 if (s.q[i] <= box.lower(i) and g <= 0.0) or (s.q[i] >= box.upper(i) and g >= 0.0) else w
         p.toward(error, damping)
-    size = 0.0
-    for i in range(s.q.shape[0]):
-        size = max(size, abs(s.dq[i]))
-    return size
+    return largest(s.dq)
 
 
 @inline

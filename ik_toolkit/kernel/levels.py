@@ -16,20 +16,10 @@ from typing import NamedTuple
 
 from ..compile.jit import compiled, inline, inner
 from .limits import hold
-from .linalg import (
-    add_multiple,
-    cholesky,
-    cholesky_solve,
-    clear,
-    dot,
-    dot_of_columns,
-    dot_with_column,
-    eigen,
-    reflect_row,
-    triangle,
-)
+from .linalg import cholesky, cholesky_solve, eigen, reflect_row, triangle
 from .records import Array, copy
 from .search import AT_MINIMUM
+from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
 
 
 class LevelSteps(NamedTuple):

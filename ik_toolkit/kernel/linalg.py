@@ -5,72 +5,13 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
 from .records import copy
+from .vectors import clear, dot, dot_of_columns, dot_with_column
 
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
 NOISE = 1e-15  # A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
-
-
-@inline
-def dot(x, y, n):
-    """Return the scalar product of two vectors, over their first n numbers."""
-    s = 0.0
-    for i in range(n):
-        s += x[i] * y[i]
-    return s
-
-
-@inline
-def any_of(x):
-    """Return whether a number of x is not 0."""
-    for i in range(x.shape[0]):
-        if x[i] != 0.0:
-            return True
-    return False
-
-
-@inline
-def clear(x):
-    """Set all numbers of x to 0."""
-    for i in range(x.shape[0]):
-        x[i] = 0.0
-
-
-@inline
-def add_multiple(x, factor, y, n):
-    """Add `factor` times y to x in place, over their first n numbers."""
-    for i in range(n):
-        x[i] += factor * y[i]
-
-
-@inline
-def dot_of_columns(A, r, B, c, n):
-    """Return the scalar product of column r of A and column c of B, over their first n numbers."""
-    s = 0.0
-    for i in range(n):
-        s += A[i, r] * B[i, c]
-    return s
-
-
-@inline
-def dot_with_column(x, A, c, n):
-    """Return the scalar product of x and column c of A, over their first n numbers."""
-    s = 0.0
-    for i in range(n):
-        s += x[i] * A[i, c]
-    return s
-
-
-@inline
-def apply_transposed(A, x, out):
-    """Write A' x to out (m,), for A (n, m) and x (n,)."""
-    for k in range(A.shape[1]):
-        s = 0.0
-        for i in range(A.shape[0]):
-            s += A[i, k] * x[i]
-        out[k] = s
 
 
 @inline

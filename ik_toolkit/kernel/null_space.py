@@ -12,9 +12,10 @@ from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, compiled, dual, inline, spliced
 from .dispatch import problem_on
 from .limits import LIGHTEST, hold
-from .linalg import cholesky, dot_of_columns
+from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
+from .vectors import dot_of_columns, largest
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
 SINGLE = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
@@ -241,9 +242,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         for i in range(n):
             w[i] = weights[i] * (full.span(i) * full.span(i) if what == MID_RANGE else 1.0)
         direction(p, z, box)
-        size = 0.0
-        for i in range(n):
-            size = max(size, abs(dq[i]))
+        size = largest(dq)
         if size < NULL.smallest:
             break
         if fresh:

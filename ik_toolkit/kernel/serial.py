@@ -28,6 +28,7 @@ from .problem import (
 )  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
 from .starts import nearest_seeds, rnd
+from .vectors import clear
 
 
 @compiled
@@ -235,8 +236,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
-        trig[i] = 0.0
+    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
         make_desk(block, n, 6),

@@ -16,7 +16,7 @@ from .checks import ORTHONORMAL, rigid
 from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .curvature import TipState, add_curvature, add_products
 from .kinematics import aim, jacobian_rate, room
-from .linalg import damped_stack, dot, pseudo_inverse_step
+from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
     GOAL,
     Desk,
@@ -34,6 +34,7 @@ from .problem import (
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
+from .vectors import clear, dot
 
 # A tip with a squared error [rad^2, or squared length over the reach] below this counts as arrived, and mostly keeps its joints in
 # the next random start.
@@ -372,8 +373,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
-        trig[i] = 0.0
+    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return TreeProblem(

@@ -10,10 +10,10 @@ from numba.extending import overload
 
 from ..compile.jit import INLINE, inline, inner
 from ..kernel.limits import LIMIT
-from ..kernel.linalg import add_multiple, any_of, clear, dot
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
+from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .constrained_step import Allowed
 from .laws import (
     AA,

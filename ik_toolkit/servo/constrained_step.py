@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import build, compiled, inline, inner, spliced
-from ..kernel.linalg import dot
 from ..kernel.records import Array, copy
+from ..kernel.vectors import dot
 from .equality_qp import program_on, program_space, resized
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 

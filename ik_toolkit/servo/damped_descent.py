@@ -17,9 +17,10 @@ import math
 from typing import NamedTuple
 
 from ..compile.jit import compiled, inner
-from ..kernel.linalg import cholesky, clear, dot
+from ..kernel.linalg import cholesky
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
+from ..kernel.vectors import clear, dot
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN

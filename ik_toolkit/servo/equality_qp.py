@@ -11,8 +11,8 @@ import numpy as np
 
 from ..compile.array_view import LINE, cut
 from ..compile.jit import compiled, inline, spliced
-from ..kernel.linalg import add_multiple, dot
 from ..kernel.records import Array
+from ..kernel.vectors import add_multiple, dot
 
 NONE = -1  # index that means "no constraint"
 SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from ..compile.jit import inline, inner
-from ..kernel.linalg import dot
+from ..kernel.vectors import dot
 from .equality_qp import NONE, SAME, equality, is_free
 
 DONE, STUCK, CONTRADICTION = range(3)  # outcomes: solved, out of iterations, infeasible

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import compiled, dual
-from ..kernel.linalg import TINY, apply_transposed, cholesky, cholesky_solve, dot, dot_of_columns
+from ..kernel.linalg import TINY, cholesky, cholesky_solve
 from ..kernel.null_space import SINGLE, is_wide
 from ..kernel.records import Array
+from ..kernel.vectors import apply_transposed, dot, dot_of_columns
 from .viability import LIMIT, approach
 
 CV, AV, CA, AA = range(4)  # codes of the methods; AA is also the code of method aad

@@ -20,9 +20,9 @@ from numba.extending import overload
 from ..compile.array_view import keep, space, view
 from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
-from ..kernel.linalg import apply_transposed, clear
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import step_class
+from ..kernel.vectors import apply_transposed, clear
 from .command import Moment, Published, copy_rows, lean, wanted
 from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck

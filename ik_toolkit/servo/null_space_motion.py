@@ -12,7 +12,7 @@ from ..compile.jit import compiled, inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
 from ..kernel.limits import LIMIT
-from ..kernel.linalg import apply_transposed
+from ..kernel.vectors import apply_transposed
 from ..validate import number
 from .laws import STATE, apply
 

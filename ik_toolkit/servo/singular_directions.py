@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import compiled, inline, inner
-from ..kernel.linalg import add_multiple, clear, dot
 from ..kernel.records import copy
+from ..kernel.vectors import add_multiple, clear, dot, largest
 from .laws import CV, REGION, STATE, natural
 from .null_space_motion import STEP, reflect
 from .singular_step import (
@@ -48,9 +48,7 @@ def bend(task, look, s, weighed):
 def by_difference(task, s):
     """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
     n, m = task.desk.J.shape
-    size = 0.0
-    for i in range(n):
-        size = max(size, abs(s.x1[i]))
+    size = largest(s.x1)
     clear(s.bias)
     if size > 0.0:
         for sign in (1.0, -1.0):

@@ -17,9 +17,10 @@ import math
 from typing import NamedTuple
 
 from ..compile.jit import inner
-from ..kernel.linalg import add_multiple, any_of, cholesky, clear, dot, make_rows_orthogonal
+from ..kernel.linalg import cholesky, make_rows_orthogonal
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
+from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .laws import gram
 
 CLOSE = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
