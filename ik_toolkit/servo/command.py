@@ -36,9 +36,8 @@ from .laws import (
     invert,
     prepare,
 )  # fmt: skip
-from .null_space_motion import away_from_limits, clip_wish, into_null_space, weigh
-from .singular_directions import bend, judge_modes, remember
-from .singular_step import CLOSE, along_lost, begin_anew, hold_back, modes, take_out
+from .null_space_motion import away_from_limits, bend, clip_wish, into_null_space, weigh
+from .singular import WEAK, along_lost, hold_back, judge_modes, modes, remember, take_out
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -164,7 +163,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
     for k in range(m):
         if s.lost[k] > 0.0:
             gone += dot(s.U[k], s.e, m) ** 2
-    curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
+    curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > WEAK.close * WEAK.close else 0.0
     fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
     allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != CLIP else -1)
     return ease(law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
@@ -196,7 +195,10 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        begin_anew(given.counts[1], own.basis)
+        if any_of(
+            given.counts[1]
+        ):  # When an error with slack leaves the task, its axis must be a direction of its own.
+            clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
     clear(s.lost)
     if weak:

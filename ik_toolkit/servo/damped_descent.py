@@ -23,7 +23,7 @@ from ..kernel.records import copy
 from ..kernel.vectors import clear, dot
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
-from .singular_directions import GAIN
+from .singular import WEAK
 from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
 
@@ -62,7 +62,7 @@ DESCENT = DampedDescent()
 @inner
 def feedback(law, h):
     """Return the feedback gain [1/s] of a damped least-squares step, which is at most the method's own."""
-    return min(natural(law, h), GAIN / h)
+    return min(natural(law, h), WEAK.gain / h)
 
 
 @inner

@@ -12,7 +12,8 @@ from ..compile.jit import compiled, inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
 from ..kernel.limits import LIMIT
-from ..kernel.vectors import apply_transposed
+from ..kernel.records import copy
+from ..kernel.vectors import add_multiple, apply_transposed, clear, largest
 from ..validate import number
 from .laws import STATE, apply
 
@@ -48,6 +49,38 @@ def reflect(flip, y):
         if s != 0.0:
             for c in range(3):
                 y[k + c] -= s * flip[f, c]
+
+
+@inline
+def bend(task, look, s, weighed):
+    """Write (dJ/dt along s.x1) s.x2 to s.bias (m,), multiplied by the weights of the errors if `weighed`."""
+    if task.plain():
+        task.bending(look, s.x1, s.x2, s.bias)
+    else:
+        by_difference(task, s)
+    if weighed:
+        for k in range(s.bias.shape[0]):
+            s.bias[k] *= s.weight[k]
+
+
+@inline
+def by_difference(task, s):
+    """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
+    n, m = task.desk.J.shape
+    size = largest(s.x1)
+    clear(s.bias)
+    if size > 0.0:
+        for sign in (1.0, -1.0):
+            copy(s.at, s.probe)
+            add_multiple(s.probe, sign * STEP / size, s.x1, n)
+            task.stand(s.probe)
+            task.jacobian(task.see())
+            for i in range(n):
+                add_multiple(s.bias, sign * 0.5 * size / STEP * s.x2[i], task.desk.J[i], m)
+    reflect(s.flip, s.bias)
+    for k in range(s.bias.shape[0]):
+        if s.weight[k] == 0.0:
+            s.bias[k] = 0.0
 
 
 @inner

@@ -18,7 +18,7 @@ from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_search, path_samples, singular_sides, targets_at
-from .singular_step import SIDE
+from .singular import WEAK
 from .target_stream import samples_from
 from .tracker import Tracker
 from .workspace import Samples, new_record
@@ -354,7 +354,7 @@ class Run:
                 move = way.Q[k + 1] - way.Q[k]
                 tracker.secondary.wish[:] = way.Q[k], np.full(len(move), RETIME.lead / self.dt), move / self.dt
                 tracker._carried.away[:] = way.sides[k + 1]
-                tracker._state[laws.STATE.near] = 1.0 + SIDE
+                tracker._state[laws.STATE.near] = 1.0 + WEAK.side
             now = samples if steps == count else samples_from(*(one[k : k + steps + 1] for one in samples[1:4]))
             record = new_record(steps + 1, tracker.robot.n, samples.V.shape[1])
             done = tracker.take(now, self.dt, record, runaway=RETIME.runaway)

@@ -46,7 +46,7 @@ class Carried(NamedTuple):
     memory: Array  # internal state of the tracking method or of the solver's iteration
     swings: Array  # (3, n) reversals of each joint, to detect oscillation (see `viability.watch`)
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
-    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular.py); zeros until there is one
     state: Array  # numbers kept between steps; STATE holds the indices
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
@@ -195,7 +195,7 @@ class Bench(NamedTuple):
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
     H: Array  # (max(n, m), max(n, m)) another, damped factor
     J: Array  # (n, m) transposed Jacobian of the task
-    W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
+    W: Array  # (m, n) sigma_k v_k as rows, see singular.py
     V: Array  # (m, n) v_k of the singular directions as rows
     free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
     U: Array  # (m, m) u_k as rows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ik_toolkit.kernel.search import SINGULAR_STEP
-from ik_toolkit.servo import command, laws, loop, singular_directions, viability
+from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
 from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
 from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.servo.viability import HELD
@@ -174,13 +174,13 @@ def test_curvature_by_differences():
     s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
     n = rng.normal(size=3)
     s.flip = (n / np.linalg.norm(n))[None]
-    singular_directions.by_difference(task, s)
+    null_space_motion.by_difference(task, s)
     want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
     want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
     want[2] = 0.0
     np.testing.assert_allclose(s.bias, want, atol=1e-8)
     s.x1[:] = 0.0
-    singular_directions.by_difference(task, s)
+    null_space_motion.by_difference(task, s)
     np.testing.assert_array_equal(s.bias, 0.0)
 
 

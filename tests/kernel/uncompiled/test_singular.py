@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
+from ik_toolkit.servo import command, null_space_motion, singular
 from ik_toolkit.servo.constrained_step import LEAVE
 from ik_toolkit.servo.laws import AV, CV, STATE, Law
-from ik_toolkit.servo.singular_step import SIDE
+from ik_toolkit.servo.singular import WEAK
 from ik_toolkit.servo.viability import approach
 from ik_toolkit.servo.workspace import bench_on, bench_space
 
@@ -17,10 +17,10 @@ def test_modes_of_a_pose_nearby_are_a_start(turns):
     rng = np.random.default_rng(12)
     J = rng.normal(size=(7, 6))
     W, near, U, sigma = np.empty((6, 7)), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    singular_step.modes(J, near, W, U, sigma)
+    singular.modes(J, near, W, U, sigma)
     cold = len(turns)
     J += 1e-4 * rng.normal(size=J.shape)
-    singular_step.modes(J, near, W, U, sigma)
+    singular.modes(J, near, W, U, sigma)
     np.testing.assert_allclose(near, U, rtol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, rtol=1e-15)
     assert len(turns) - cold < 0.7 * cold
@@ -28,7 +28,7 @@ def test_modes_of_a_pose_nearby_are_a_start(turns):
     np.testing.assert_allclose(U @ U.T, np.eye(6), atol=1e-12)
     np.testing.assert_allclose(np.sort(sigma)[::-1], np.linalg.svd(J, compute_uv=False), atol=1e-12)
     before = len(turns)
-    singular_step.modes(J, near, W, U, sigma)
+    singular.modes(J, near, W, U, sigma)
     assert len(turns) < before + 15  # once round, for what rounding leaves
 
 
@@ -51,8 +51,8 @@ def speed(
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
     s = SimpleNamespace(V=V, t=np.array(curve), lost=lost, xk=xk)
-    mode = singular_directions.WeakMode(0, sigma, rest, own, left, moved)
-    out = singular_directions.mode_speed(s, mode, gain, h, limits, near, side)
+    mode = singular.WeakMode(0, sigma, rest, own, left, moved)
+    out = singular.mode_speed(s, mode, gain, h, limits, near, side)
     return (xk[0] if lost[0] else None), out, side
 
 
@@ -62,7 +62,7 @@ def test_the_speed_along_a_singular_direction():
         for left, moved in ((2e-4, 1e-5), (-1e-4, 0.0), (0.0, 2e-5)):
             E = moved + h * gain * left - 0.5 * 4e-6
             sigma = 3e-3 + 0.5 * (9e-6 - 1e-6 - 4e-6)  # what moves beside it changes the direction's own sigma
-            y = singular_step.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
+            y = singular.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
             x, out, _ = speed(3e-3, [1e-6, 4e-6, 9e-6], own, left, moved)
             assert x == pytest.approx(np.clip(y / h, -cap, cap), rel=1e-9) and not out
     assert speed(3e-3, [0.0, 0.0, 0.0], left=1.0)[0] == pytest.approx(cap)
@@ -84,22 +84,22 @@ def test_a_singular_direction_brakes_in_time():
     h, gain, a = 0.01, 5.0, 0.5
     limit = a / 0.8
     for left in (1e-3, 1e-2):
-        y = singular_step.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
+        y = singular.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h)
         less = left * min(1.0, most / (gain * abs(y)))
-        again = singular_step.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
+        again = singular.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
         assert speed(4e-3, [0.0, 0.0, 0.0], left=left, a=a)[0] == pytest.approx(
             np.clip(again / h, -1.25, 1.25), rel=1e-9
         )
     x, out, _ = speed(4e-3, [-1.0, 0.0, -1.0], left=1e-2, a=a)
-    y = singular_step.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
+    y = singular.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
     assert out and abs(x) <= approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h) + 1e-9
 
 
 def test_the_side_the_joints_come_from_is_remembered():
     v = np.array([0.6, 0.8])
     beside = np.array([0.8, -0.6])  # of that nothing is known
-    for near, share in ((0.0, 1.0), (0.5, 0.01 / SIDE)):
+    for near, share in ((0.0, 1.0), (0.5, 0.01 / WEAK.side)):
         for b in (0.3, -0.3):
             away = 0.7 * v + 0.2 * beside
             *_, side = speed(3e-3, [b, 0.0, b], near=near, away=away)
@@ -147,14 +147,14 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
     k = min(n, m)
     U, _ = np.linalg.qr(rng.normal(size=(m, m)))
     W, _ = np.linalg.qr(rng.normal(size=(n, n)))
-    for last, near in ((2e-3, 0.0), (2e-3, 1.1), (2e-3, 1.0 + SIDE), (1e-12, 0.0), (0.5, 0.0)):
+    for last, near in ((2e-3, 0.0), (2e-3, 1.1), (2e-3, 1.0 + WEAK.side), (1e-12, 0.0), (0.5, 0.0)):
         values = np.append(np.linspace(2.0, 1.0, k - 1), last)
         s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
         s.J[:] = W[:, :k] * values @ U[:, :k].T
         J = s.J.copy()
         s.floor[:], s.roof[:], s.weight[:] = -9e9, 9e9, 1.0
         s.e[:] = 1e-3 * rng.normal(size=m)
-        if near == 1.0 + SIDE:  # little is left of what could be closed
+        if near == 1.0 + WEAK.side:  # little is left of what could be closed
             s.e[:] -= 0.99 * (U[:, k - 1] @ s.e) * U[:, k - 1]
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
@@ -172,27 +172,27 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         lost = command.by_law(law, None, task, None, None, s, settings, own, command.Moment(0, h))
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)
-        if state[STATE.near] != 1.0 + SIDE:  # else the others are fed back less
+        if state[STATE.near] != 1.0 + WEAK.side:  # else the others are fed back less
             np.testing.assert_allclose(done[: k - 1], want[: k - 1], atol=1e-9)
         if n > m:
             assert lost == (last < 0.005) and state[STATE.near] in (
-                (1.0, max(near - h, 1.0), 1.0 + SIDE) if last < 0.1 else (0.0,)
+                (1.0, max(near - h, 1.0), 1.0 + WEAK.side) if last < 0.1 else (0.0,)
             )
         if last < 0.005 and (n > m or last > 1e-9):  # else two directions without a singular value share it
             u, v = U[:, k - 1], W[:, k - 1]
             along, curve = v @ rate, np.empty(3)
             for part in range(3):
-                x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - along * v)
+                x = (part != singular.BESIDE) * v + (part != singular.ALONG) * h * (rate - along * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            known = near > 0.0 or last < singular_step.WEAK.clear
+            known = near > 0.0 or last < singular.WEAK.clear
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
-            rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
-            mode = singular_directions.WeakMode(0, full, rest, along, u @ e, u @ ahead - u @ e)
+            rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + WEAK.side else 0.0
+            mode = singular.WeakMode(0, full, rest, along, u @ e, u @ ahead - u @ e)
             one = SimpleNamespace(V=v[None], t=curve, lost=lost_, xk=xk)
-            singular_directions.mode_speed(one, mode, gain, h, limits, near, side)
+            singular.mode_speed(one, mode, gain, h, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
@@ -200,20 +200,15 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
 
 def test_what_is_kept_of_singular_poses():
     state, h = np.zeros(len(STATE)), 0.01
-    away = np.ones(3)
     for near, beyond, kept in (
         (False, False, 0.0),  # never met: `away` is a default
-        (True, True, 1.0 + SIDE),
-        (True, False, 1.0 + SIDE - h),
+        (True, True, 1.0 + WEAK.side),
+        (True, False, 1.0 + WEAK.side - h),
         (False, False, -1.0),  # met once: `away` stays what it is
         (True, False, 1.0),
     ):
-        singular_directions.remember(state, near, beyond, h)
+        singular.remember(state, near, beyond, h)
         assert state[STATE.near] == pytest.approx(kept)
-        before = away.copy()
-        singular_directions.forget_default(state, away)
-        np.testing.assert_array_equal(away, before * (kept != 0.0))
-        away[:] = 1.0
 
 
 def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
@@ -223,7 +218,7 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     asked = rng.normal(size=(3, 4))  # e, ahead, f
     more = bend * np.hypot(U[2] @ asked[0], U[3] @ asked[0])
     command = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
-    singular_step.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
+    singular.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
     np.testing.assert_allclose(asked, command, atol=1e-14)
 
 
