@@ -255,13 +255,17 @@ def equality(p, last):
 @inline
 def price_bounds(p, noise):
     """Compute the multipliers of the active bounds; multipliers of the first objective up to `noise` in size become 0."""
+    first, second = p.new.first[p.planes :], p.new.second[p.planes :]
     for i in range(p.size):
-        if not is_free(p, i):
-            one, two = 0.0, p.want[i] - p.y[i]
-            for k in range(p.planes + p.task):
-                one -= p.P[k, i] * p.new.first[slot(p, k)]
-                two -= p.P[k, i] * p.new.second[slot(p, k)]
-            p.new.first[p.planes + i], p.new.second[p.planes + i] = one, two
+        first[i], second[i] = 0.0, p.want[i] - p.y[i]
+    for k in range(p.planes + p.task):
+        one, two = p.new.first[slot(p, k)], p.new.second[slot(p, k)]
+        if one != 0.0 or two != 0.0:
+            add_multiple(first, -one, p.P[k], p.size)
+            add_multiple(second, -two, p.P[k], p.size)
+    for i in range(p.size):
+        if is_free(p, i):
+            first[i], second[i] = 0.0, 0.0
     for c in range(p.planes + p.size):
         if abs(p.new.first[c]) <= noise:
             p.new.first[c] = 0.0
