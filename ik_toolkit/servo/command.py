@@ -37,7 +37,8 @@ from .laws import (
     prepare,
 )  # fmt: skip
 from .null_space_motion import away_from_limits, bend, clip_wish, into_null_space, weigh
-from .singular import WEAK, along_lost, hold_back, judge_modes, modes, remember, take_out
+from .singular_directions import judge_modes, remember
+from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -95,6 +96,7 @@ def find_wishes(law, s, limits, wish, base):
         return False
     into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
     along_lost(s.V, s.lost, s.xk, s.g, 0.0)
+    down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
     clip_wish(s.g, base, s.floor, s.roof)
     return True
 
@@ -201,6 +203,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
             clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
     clear(s.lost)
+    clear(s.pull)
     if weak:
         beyond = judge_modes(law, task, look, s, limits, h, own, heavy)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -223,6 +226,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
+        down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)

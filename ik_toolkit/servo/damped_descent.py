@@ -23,7 +23,7 @@ from ..kernel.records import copy
 from ..kernel.vectors import clear, dot
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
-from .singular import WEAK
+from .singular_step import WEAK
 from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
 

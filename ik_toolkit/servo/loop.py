@@ -1,7 +1,7 @@
 """The compiled loop of a tracker: from the target's motion to joint rates inside every limit, sample by sample.
 
 A method (a published law, or a solver with one iteration a sample) commands joint rates. Their part along
-singular directions, in which the tip can hardly move, is replaced (singular.py), and secondary motion is added in
+singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
 the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
 otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target takes damped
 least-squares steps to the least error nearby (damped_descent.py). In mode CLIP the method is as published: damped in all
@@ -42,7 +42,7 @@ from .laws import (
     settle,
 )
 from .null_space_motion import SLACK, lay_aside, reflect, slack_rows
-from .singular import along_lost, by_modes
+from .singular_step import along_lost, by_modes
 from .viability import (
     CALMED,
     CALMING,

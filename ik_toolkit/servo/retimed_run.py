@@ -18,7 +18,7 @@ from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_search, path_samples, singular_sides, targets_at
-from .singular import WEAK
+from .singular_step import WEAK
 from .target_stream import samples_from
 from .tracker import Tracker
 from .workspace import Samples, new_record

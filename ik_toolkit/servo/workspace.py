@@ -46,7 +46,7 @@ class Carried(NamedTuple):
     memory: Array  # internal state of the tracking method or of the solver's iteration
     swings: Array  # (3, n) reversals of each joint, to detect oscillation (see `viability.watch`)
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
-    basis: Array  # (m, m) task directions u_k at the last singular pose (singular.py); zeros until there is one
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
     state: Array  # numbers kept between steps; STATE holds the indices
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
@@ -195,13 +195,14 @@ class Bench(NamedTuple):
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
     H: Array  # (max(n, m), max(n, m)) another, damped factor
     J: Array  # (n, m) transposed Jacobian of the task
-    W: Array  # (m, n) sigma_k v_k as rows, see singular.py
+    W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
     V: Array  # (m, n) v_k of the singular directions as rows
     free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
     U: Array  # (m, m) u_k as rows
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
+    pull: Array  # (m,) rates per unit of slope for `down_slopes`
     flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
@@ -234,6 +235,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, (F, 3),
+        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, (rows, n), rows,
     )))  # fmt: skip

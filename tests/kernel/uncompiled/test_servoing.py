@@ -26,6 +26,7 @@ def scratch(rng, n=7, m=6):
         V=np.zeros((m, n)),
         W=np.zeros((m, n)),
         sv=np.zeros(m),
+        pull=np.zeros(m),
         lost=np.zeros(m),
         xk=np.zeros(m),
         f=np.zeros(m),

@@ -1,14 +1,15 @@
 """Singular directions: how they are found and damped, and how joints move along them."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import command, null_space_motion, singular
+from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
 from ik_toolkit.servo.constrained_step import LEAVE
 from ik_toolkit.servo.laws import AV, CV, STATE, Law
-from ik_toolkit.servo.singular import WEAK
+from ik_toolkit.servo.singular_step import WEAK
 from ik_toolkit.servo.viability import approach
 from ik_toolkit.servo.workspace import bench_on, bench_space
 
@@ -17,10 +18,10 @@ def test_modes_of_a_pose_nearby_are_a_start(turns):
     rng = np.random.default_rng(12)
     J = rng.normal(size=(7, 6))
     W, near, U, sigma = np.empty((6, 7)), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    singular.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     cold = len(turns)
     J += 1e-4 * rng.normal(size=J.shape)
-    singular.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     np.testing.assert_allclose(near, U, rtol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, rtol=1e-15)
     assert len(turns) - cold < 0.7 * cold
@@ -28,7 +29,7 @@ def test_modes_of_a_pose_nearby_are_a_start(turns):
     np.testing.assert_allclose(U @ U.T, np.eye(6), atol=1e-12)
     np.testing.assert_allclose(np.sort(sigma)[::-1], np.linalg.svd(J, compute_uv=False), atol=1e-12)
     before = len(turns)
-    singular.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     assert len(turns) < before + 15  # once round, for what rounding leaves
 
 
@@ -45,14 +46,16 @@ def speed(
     away=(0.0, 0.0),
     top=1.0,
     rest=0.0,
+    full=None,
 ):
     """`mode_speed` for the direction (0.6, 0.8) of two joints: its speed where it is lost (None: it is not), edge, away."""
     V = np.array([[0.6, 0.8]])
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
+    full = sigma if full is None else full
     s = SimpleNamespace(V=V, t=np.array(curve), lost=lost, xk=xk)
-    mode = singular.WeakMode(0, sigma, rest, own, left, moved)
-    out = singular.mode_speed(s, mode, gain, h, limits, near, side)
+    mode = singular_directions.WeakMode(0, full, sigma, rest, own, left, moved)
+    out = singular_directions.mode_speed(s, mode, gain, h, limits, near, side)
     return (xk[0] if lost[0] else None), out, side
 
 
@@ -62,7 +65,7 @@ def test_the_speed_along_a_singular_direction():
         for left, moved in ((2e-4, 1e-5), (-1e-4, 0.0), (0.0, 2e-5)):
             E = moved + h * gain * left - 0.5 * 4e-6
             sigma = 3e-3 + 0.5 * (9e-6 - 1e-6 - 4e-6)  # what moves beside it changes the direction's own sigma
-            y = singular.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
+            y = singular_step.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
             x, out, _ = speed(3e-3, [1e-6, 4e-6, 9e-6], own, left, moved)
             assert x == pytest.approx(np.clip(y / h, -cap, cap), rel=1e-9) and not out
     assert speed(3e-3, [0.0, 0.0, 0.0], left=1.0)[0] == pytest.approx(cap)
@@ -84,15 +87,15 @@ def test_a_singular_direction_brakes_in_time():
     h, gain, a = 0.01, 5.0, 0.5
     limit = a / 0.8
     for left in (1e-3, 1e-2):
-        y = singular.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
+        y = singular_step.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h)
         less = left * min(1.0, most / (gain * abs(y)))
-        again = singular.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
+        again = singular_step.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
         assert speed(4e-3, [0.0, 0.0, 0.0], left=left, a=a)[0] == pytest.approx(
             np.clip(again / h, -1.25, 1.25), rel=1e-9
         )
     x, out, _ = speed(4e-3, [-1.0, 0.0, -1.0], left=1e-2, a=a)
-    y = singular.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
+    y = singular_step.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
     assert out and abs(x) <= approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h) + 1e-9
 
 
@@ -109,7 +112,8 @@ def test_the_side_the_joints_come_from_is_remembered():
     for far in (0.9, 0.1):  # out of reach it is kept, if it is known
         *_, side = speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=far * v)
         np.testing.assert_allclose(side, far * v if far > 0.5 else -v, atol=1e-14)
-    np.testing.assert_array_equal(speed(0.9e-4, [0.3, 0.0, 0.3], away=(0.2, -0.1))[2], [0.2, -0.1])
+    for unclear in (dict(sigma=0.9e-4), dict(sigma=1.4e-3, full=3e-3)):
+        np.testing.assert_array_equal(speed(curve=[0.3, 0.0, 0.3], away=(0.2, -0.1), **unclear)[2], [0.2, -0.1])
     # carried far to the other side of the edge: back across
     x, out, _ = speed(6e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=tuple(0.9 * v))
     assert out and x == pytest.approx(min((6e-3 + 5e-3) * 5.0, 1.25))
@@ -123,6 +127,28 @@ def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
         alone = speed(3e-3, [0.0, 0.0, 0.0], left=less * left, moved=less * 2e-6)[0]
         found = speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest, moved=2e-6)[0]
         assert found == pytest.approx(alone, rel=1e-12)
+
+
+def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
+    rng = np.random.default_rng(3)
+    Q = np.linalg.qr(rng.normal(size=(7, 7)))[0]
+    sigma = np.array([1.0, 2e-3, 0.5])
+    W = sigma[:, None] * Q[:, :3].T
+    bent, straight = 0.3 * Q[:, 1] + np.sqrt(0.91) * Q[:, 5], np.sqrt(0.91) * Q[:, 1] - 0.3 * Q[:, 5]
+    V = np.full((3, 7), np.nan)
+    for away in (np.zeros(7), 0.9 * bent + 2.0 * Q[:, 0], -0.9 * bent):  # what is known counts, if anything is
+        V[1] = Q[:, 1]
+        x, slope = np.empty(7), np.empty(7)
+        singular_step.begin_bent(W, V[1], sigma, 1, away, x)
+        np.testing.assert_allclose(x, np.sign(away @ bent) * bent if away.any() else Q[:, 1], atol=1e-12)
+        slope[:] = 0.2 * (x @ bent) * bent + 0.4 * Q[:, 0] - 0.1 * Q[:, 2]  # what other modes move is not free
+        thin = singular_step.bent_direction(W, V[1], sigma, 1, slope)
+        np.testing.assert_allclose(V[1], bent, atol=1e-12)
+        assert thin == pytest.approx(0.3 * 2e-3)
+    V[1] = Q[:, 1]
+    slope[:] = 0.5e-3 * straight  # hardly bent
+    assert singular_step.bent_direction(W, V[1], sigma, 1, slope) == 2e-3
+    np.testing.assert_array_equal(V[1], Q[:, 1])
 
 
 class Curved:
@@ -179,20 +205,25 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
                 (1.0, max(near - h, 1.0), 1.0 + WEAK.side) if last < 0.1 else (0.0,)
             )
         if last < 0.005 and (n > m or last > 1e-9):  # else two directions without a singular value share it
-            u, v = U[:, k - 1], W[:, k - 1]
+            u, free, v = U[:, k - 1], W[:, k - 1 :], W[:, k - 1]
+            if near > 1.0:  # out of reach a moment ago: of the directions that move nothing, the bent one
+                v = free @ (free.T @ np.array([task.B[:, i].T @ W[:, k - 1] @ u for i in range(n)]))
+                v *= np.sign(v @ W[:, k - 1]) / np.linalg.norm(v)
             along, curve = v @ rate, np.empty(3)
             for part in range(3):
-                x = (part != singular.BESIDE) * v + (part != singular.ALONG) * h * (rate - along * v)
+                x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - along * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            known = near > 0.0 or last < singular.WEAK.clear
+            known = near > 0.0 or last < singular_step.WEAK.clear
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
             rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + WEAK.side else 0.0
-            mode = singular.WeakMode(0, full, rest, along, u @ e, u @ ahead - u @ e)
+            mode = singular_directions.WeakMode(
+                0, full, full * (v @ W[:, k - 1]), rest, along, u @ e, u @ ahead - u @ e
+            )
             one = SimpleNamespace(V=v[None], t=curve, lost=lost_, xk=xk)
-            singular.mode_speed(one, mode, gain, h, limits, near, side)
+            singular_directions.mode_speed(one, mode, gain, h, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
@@ -207,8 +238,19 @@ def test_what_is_kept_of_singular_poses():
         (False, False, -1.0),  # met once: `away` stays what it is
         (True, False, 1.0),
     ):
-        singular.remember(state, near, beyond, h)
+        singular_directions.remember(state, near, beyond, h)
         assert state[STATE.near] == pytest.approx(kept)
+
+
+def test_joints_that_have_to_stand_still_take_no_part_in_bending():
+    n, m = 4, 6
+    s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
+    s.U[2], s.bias[:] = np.arange(6.0), 1.0
+    s.floor[:], s.roof[:] = (-1.0, 0.0, 0.0, -1.0), (1.0, 0.0, 1.0, 0.0)
+    for part in range(-n, 1):
+        singular_directions.note_curve(s, 2, part)
+    np.testing.assert_array_equal(s.null, [15.0, 0.0, 15.0, 15.0])
+    assert s.t[0] == 15.0
 
 
 def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
@@ -218,8 +260,28 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     asked = rng.normal(size=(3, 4))  # e, ahead, f
     more = bend * np.hypot(U[2] @ asked[0], U[3] @ asked[0])
     command = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
-    singular.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
+    singular_step.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
     np.testing.assert_allclose(asked, command, atol=1e-14)
+
+
+def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
+    rng = np.random.default_rng(9)
+    Q = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    W, V = np.zeros((2, 2, 5))
+    V[1], W[1] = Q[:, 0], 3e-4 * Q[:, 0] - 4e-3 * Q[:, 1]
+    W[0] = Q[:, 2]
+    ways = itertools.product(
+        (50.0, 0.0), (1.0, 0.0), ((6e-3, 1.0), (5e-3, 1.0), (4e-3, 0.6), (2.5e-3, 0.0), (1e-3, 0.0))
+    )
+    for pull, speeds, (sigma, share) in ways:
+        x = rng.normal(size=5)
+        along = -4e-3 * pull * speeds if pull else Q[:, 1] @ x
+        command = x + share * (along - Q[:, 1] @ x) * Q[:, 1]
+        singular_step.down_slopes(W, V, np.array([1.0, sigma]), np.array([0.0, pull]), x, speeds)
+        np.testing.assert_allclose(x, command, atol=1e-14)
+    W[1] = 3e-4 * Q[:, 0]  # nothing is left of it
+    singular_step.down_slopes(W, V, np.array([1.0, 6e-3]), np.array([0.0, 50.0]), x, 1.0)
+    np.testing.assert_allclose(x, command, atol=1e-12)
 
 
 def test_rows_of_a_task_are_weighed():

@@ -12,26 +12,22 @@ negative, the error can be closed by bending the arm: at sigma_k = 0, where the 
 the side from which they came. If both sigma_k and H_k are near 0, a Newton step is undefined, and the joints keep their
 present motion, which fades.
 
-`judge_modes` evaluates this for each singular direction, decides which directions leave the task, and stores the results.
+When a redundant arm is stretched out, two joint directions hardly move the tip: bending, and a rotation of the bent
+arm. v_k is any mixture of the two and may change with every step. While the target is out of reach, v_k is therefore replaced by
+the direction in which b_k is largest, and the side from which the joints came is remembered along that direction.
 """
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from ..compile.jit import compiled, inline, inner
-from ..kernel.limits import LIMIT
+from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.vectors import add_multiple, any_of, clear, dot
-from .laws import CV, REGION, STATE, gram, natural
-from .null_space_motion import bend
-from .viability import approach
+from .laws import gram
 
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
-BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
 
 
 class Weak(NamedTuple):
@@ -198,118 +194,31 @@ def mode_direction(W, sv, r, away, way, v):
 
 
 @inner
-def remember(state, near, beyond, h):
-    """Note in `state` whether the pose is singular (near), and for WEAK.side [s] that a target was out of reach (beyond)."""
-    if near:
-        state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
-    elif state[STATE.near] != 0.0:
-        state[STATE.near] = BEFORE
-
-
-@compiled
-class WeakMode(NamedTuple):
-    """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
-
-    r: int  # index of the singular direction
-    sigma: float  # singular value sigma_r: tip motion along u_r per unit of joint motion along V_r
-    # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
-    rest: float
-    own: float  # rate of the joints along V_r
-    error: float  # error along u_r
-    moved: float  # motion of the target along u_r in a step
-
-
-@inline
-def fastest_along(v, limits):
-    """Return the highest speed and acceleration along the joint direction v (n,) that all limits allow."""
-    cap, a = np.inf, np.inf
-    for i in range(v.shape[0]):
-        if v[i] != 0.0:
-            cap = min(cap, limits[LIMIT.speed, i] / abs(v[i]))
-            a = min(a, limits[LIMIT.acceleration, i] / abs(v[i]))
-    return cap, a
+def begin_bent(W, v, sigma, r, away, x):
+    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or v (n,)."""
+    copy(away, x)
+    size = leave_modes(W, sigma, r, x)
+    for i in range(x.shape[0]):
+        x[i] = x[i] / size if size > WEAK.known else v[i]
 
 
 @inner
-def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide whether to remove singular direction r from the task; if so, set s.lost[r] to 1 and s.xk[r] to the speed along V_r.
+def bent_direction(W, v, sigma, r, slope):
+    """Make v (n,) the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
 
-    u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
-    `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
-    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
-    now if that is not known. Returns whether the target is out of reach along this direction now.
+    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
+    to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
+    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_bent` wrote (one
+    step of a power iteration).
     """
-    r, v, left, moved = mode.r, s.V[mode.r], mode.error, mode.moved
-    b, beside = s.t[ALONG], s.t[BESIDE]
-    cap, a = fastest_along(v, limits)
-    grows = np.sign(b)  # 1 or -1: direction along V_r in which the singular value grows
-    clear = mode.sigma > WEAK.clear
-    back = dot(v, away, v.shape[0])
-    if abs(back) < WEAK.known and clear:
-        bring_along(v, away, grows, 1.0)
-        back = grows
-    sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
-    if abs(left) < WEAK.minor * mode.rest:
-        left *= sigma * sigma / (sigma * sigma + mode.rest)
-        moved *= sigma * sigma / (sigma * sigma + mode.rest)
-    # With acceleration limits, a first pass considers only the error, to shrink it to what can be braked.
-    for last in range(0 if a < np.inf else 1, 2):
-        E = moved + h * gain * left - 0.5 * beside if last == 1 else left
-        y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
-        # `most` is the highest speed from which the motion can brake before the error is zero, as in `ease`.
-        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)
-        if last == 0 and gain * abs(y) > most:
-            left *= most / (gain * abs(y))
-    edge = D < 0.0
-    x = (WEAK.caution if edge else 1.0) * y / h
-    # Joints that were carried far to the other side move back across the singular pose.
-    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
-        x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
-    if edge and a < np.inf:
-        x = min(max(x, -most), most)
-    x = min(max(x, -cap), cap)
-    if clear and not edge:
-        bring_along(v, away, grows, min(h / WEAK.side, 1.0) if near > 0.0 else 1.0)
-    E = moved + h * gain * left
-    bent = abs(b * E) > WEAK.bent * mode.sigma * mode.sigma
-    if mode.sigma < WEAK.lost or bent or abs(E) > h * cap * mode.sigma:
-        s.lost[r], s.xk[r] = 1.0, x
-    return D < -WEAK.least * WEAK.least
-
-
-@inline
-def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
-
-    Returns whether the target is out of reach along one of them.
-    """
-    m = s.J.shape[1]
-    rate, away, state = own.motion[1], own.away, own.state
-    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), WEAK.gain / h)
-    for r in range(m):
-        if s.sv[r] >= REGION * law.damping:
-            continue
-        if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
-            clear(away)  # Before the first singular pose the side from which joints came is only a default.
-        near = True
-        left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
-        if not mode_direction(s.W, s.sv, r, away, moved + h * gain * left, s.V[r]):
-            s.lost[r], s.xk[r] = 1.0, 0.0
-            continue
-        speed = 0.0
-        for part in range(3):
-            speed = mode_probe(s.V[r], rate, part, h, s.x1)
-            copy(s.x1, s.x2)
-            bend(task, look, s, True)
-            s.t[part] = dot(s.U[r], s.bias, m)
-        others = math.sqrt(max(dot(s.e, s.e, m) - left * left, 0.0))  # the error along all other directions
-        rest = heavy * others if state[STATE.near] == 1.0 + WEAK.side else 0.0
-        mode = WeakMode(r, s.sv[r], rest, speed, left, moved)
-        out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        beyond = beyond or out
-    remember(state, near, beyond, h)
-    return beyond
+    size = leave_modes(W, sigma, r, slope)
+    if size < WEAK.flat:
+        return sigma[r]
+    own = dot(v, slope, v.shape[0])
+    sign = 1.0 if own >= 0.0 else -1.0
+    for i in range(slope.shape[0]):
+        v[i] = sign * slope[i] / size
+    return sigma[r] * abs(own) / size
 
 
 @inner
@@ -394,3 +303,27 @@ def along_lost(V, lost, xk, x, speeds):
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V[r], x, xk[r] if speeds > 0.0 else 0.0, 1.0)
+
+
+@inner
+def down_slopes(W, V, sigma, pull, x, speeds):
+    """Set the part of the rates x (n,) along slope_k to pull[k] slope_k, which reduces the error, or to 0 if `speeds` is 0.
+
+    slope_k is the part of sigma_k v_k that is perpendicular to V_k, the direction that replaces v_k (see `bent_direction`).
+    pull (m,): rates per unit of slope_k; if pull[k] is 0, the rates stay. The change is faded in while sigma_k grows from half of
+    WEAK.lost to WEAK.lost.
+    """
+    n = x.shape[0]
+    for r in range(pull.shape[0]):
+        share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)
+        if pull[r] == 0.0 or share <= 0.0:
+            continue
+        own, size, part = dot(V[r], W[r], n), 0.0, 0.0
+        for i in range(n):
+            slope = W[r, i] - own * V[r, i]
+            size += slope * slope
+            part += slope * x[i]
+        if size > WEAK.zero * WEAK.zero:
+            more = share * (speeds * pull[r] - part / size)
+            add_multiple(x, more, W[r], n)
+            add_multiple(x, -more * own, V[r], n)

@@ -1,0 +1,196 @@
+"""Singular directions, in which the tip can hardly move: curvature of the tip's path and error left along each.
+
+singular_step.py explains how joints move along such a direction, and has the formulas. This file evaluates them for each
+direction, decides which directions leave the task, and stores the results.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compile.jit import compiled, inline, inner
+from ..kernel.limits import LIMIT
+from ..kernel.records import copy
+from ..kernel.vectors import clear, dot
+from .laws import CV, REGION, STATE, natural
+from .null_space_motion import bend
+from .singular_step import (
+    ALONG,
+    BESIDE,
+    BOTH,
+    WEAK,
+    begin_bent,
+    bent_direction,
+    bring_along,
+    mode_direction,
+    mode_moved,
+    mode_probe,
+    way_along,
+)
+from .viability import approach
+
+BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
+
+
+@inner
+def remember(state, near, beyond, h):
+    """Note in `state` whether the pose is singular (near), and for WEAK.side [s] that a target was out of reach (beyond)."""
+    if near:
+        state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
+    elif state[STATE.near] != 0.0:
+        state[STATE.near] = BEFORE
+
+
+@inline
+def begin_mode(s, r, free, way, away):
+    """Write the joint direction of singular direction r to row r of V; return False if there is none.
+
+    In that case direction r is marked as removed from the task (s.lost). free: whether the direction of most curved tip motion will
+    be looked for; then s.x1 receives the direction at which `bent_direction` needs its gradient. way: the tip motion asked for;
+    away: see `mode_speed`.
+    """
+    there = mode_direction(s.W, s.sv, r, away, way, s.V[r])
+    if not there:
+        s.lost[r], s.xk[r] = 1.0, 0.0
+    elif free:
+        begin_bent(s.W, s.V[r], s.sv, r, away, s.x1)
+    return there
+
+
+@inline
+def probe_mode(s, r, part, rate, h):
+    """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
+
+    part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
+    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (row r of V), or 0 for the gradient.
+    """
+    n = rate.shape[0]
+    if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
+        clear(s.x2)
+        s.x2[part + n] = 1.0
+        return 0.0
+    own = mode_probe(s.V[r], rate, part, h, s.x1)
+    copy(s.x1, s.x2)
+    return own
+
+
+@inline
+def note_curve(s, r, part):
+    """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
+    curved = dot(s.U[r], s.bias, s.bias.shape[0])
+    i = part + s.null.shape[0]
+    if part >= 0:
+        s.t[part] = curved
+    else:
+        s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
+
+
+@compiled
+class WeakMode(NamedTuple):
+    """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
+
+    r: int  # index of the singular direction
+    full: float  # singular value sigma_r
+    sigma: float  # tip motion along u_r per unit of joint motion along V_r
+    # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
+    rest: float
+    own: float  # rate of the joints along V_r
+    error: float  # error along u_r
+    moved: float  # motion of the target along u_r in a step
+
+
+@inline
+def fastest_along(v, limits):
+    """Return the highest speed and acceleration along the joint direction v (n,) that all limits allow."""
+    cap, a = np.inf, np.inf
+    for i in range(v.shape[0]):
+        if v[i] != 0.0:
+            cap = min(cap, limits[LIMIT.speed, i] / abs(v[i]))
+            a = min(a, limits[LIMIT.acceleration, i] / abs(v[i]))
+    return cap, a
+
+
+@inner
+def mode_speed(s, mode, gain, h, limits, near, away):
+    """Decide whether to remove singular direction r from the task; if so, set s.lost[r] to 1 and s.xk[r] to the speed along V_r.
+
+    u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
+    `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
+    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
+    now if that is not known. Returns whether the target is out of reach along this direction now.
+    """
+    r, v, left, moved = mode.r, s.V[mode.r], mode.error, mode.moved
+    b, beside = s.t[ALONG], s.t[BESIDE]
+    cap, a = fastest_along(v, limits)
+    grows = np.sign(b)  # 1 or -1: direction along V_r in which the singular value grows
+    clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
+    back = dot(v, away, v.shape[0])
+    if abs(back) < WEAK.known and clear:
+        bring_along(v, away, grows, 1.0)
+        back = grows
+    sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
+    # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
+    if abs(left) < WEAK.minor * mode.rest:
+        left *= sigma * sigma / (sigma * sigma + mode.rest)
+        moved *= sigma * sigma / (sigma * sigma + mode.rest)
+    # With acceleration limits, a first pass considers only the error, to shrink it to what can be braked.
+    for last in range(0 if a < np.inf else 1, 2):
+        E = moved + h * gain * left - 0.5 * beside if last == 1 else left
+        y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
+        # `most` is the highest speed from which the motion can brake before the error is zero, as in `ease`.
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)
+        if last == 0 and gain * abs(y) > most:
+            left *= most / (gain * abs(y))
+    edge = D < 0.0
+    x = (WEAK.caution if edge else 1.0) * y / h
+    # Joints that were carried far to the other side move back across the singular pose.
+    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
+        x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
+    if edge and a < np.inf:
+        x = min(max(x, -most), most)
+    x = min(max(x, -cap), cap)
+    if clear and not edge:
+        bring_along(v, away, grows, min(h / WEAK.side, 1.0) if near > 0.0 else 1.0)
+    E = moved + h * gain * left
+    bent = abs(b * E) > WEAK.bent * mode.sigma * mode.sigma
+    if mode.sigma < WEAK.lost or bent or abs(E) > h * cap * mode.sigma:
+        s.lost[r], s.xk[r] = 1.0, x
+    return D < -WEAK.least * WEAK.least
+
+
+@inline
+def judge_modes(law, task, look, s, limits, h, own, heavy):
+    """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
+
+    Returns whether the target is out of reach along one of them.
+    """
+    n, m = s.J.shape
+    rate, away, state = own.motion[1], own.away, own.state
+    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), WEAK.gain / h)
+    for r in range(m):
+        if s.sv[r] >= REGION * law.damping:
+            continue
+        if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
+            clear(away)  # Before the first singular pose the side from which joints came is only a default.
+        near = True
+        left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
+        free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
+        if not begin_mode(s, r, free, moved + h * gain * left, away):
+            continue
+        for part in range(-n if free else 0, 3):
+            if part == ALONG and free:
+                thin = bent_direction(s.W, s.V[r], s.sv, r, s.null)
+            speed = probe_mode(s, r, part, rate, h)
+            bend(task, look, s, True)
+            note_curve(s, r, part)
+        others = math.sqrt(max(dot(s.e, s.e, m) - left * left, 0.0))  # the error along all other directions
+        rest = heavy * others if state[STATE.near] == 1.0 + WEAK.side else 0.0
+        mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
+        out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
+        # Motion along the rest of the gradient, across the replaced direction, is damped as in `hold_back`.
+        if free and out:
+            s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
+        beyond = beyond or out
+    remember(state, near, beyond, h)
+    return beyond
