@@ -67,7 +67,7 @@ class StepTables(NamedTuple):
     triangle: Array  # (r, r) Cholesky factor of border border', damped
     gradient: Array  # (n,) of half the squared errors of a level
     rhs: Array  # right side of a linear system
-    pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
+    pull: Array  # (m,) factors of the second derivatives of the errors, see `counted_error.add_curvature`
     chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
     asked: Array  # (n,) joint weights from before joints were held
     dz: Array  # (n,) step of a level in the null space

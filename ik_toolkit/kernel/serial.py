@@ -8,8 +8,18 @@ import numpy as np
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .counted_error import FREE, KEPT, POSE, POSITION, angle_left, counts, turn_axis, vector_ratio
-from .curvature import TipState, add_curvature
+from .counted_error import (
+    FREE,
+    KEPT,
+    POSE,
+    POSITION,
+    TipState,
+    add_curvature,
+    angle_left,
+    counts,
+    turn_axis,
+    vector_ratio,
+)
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import (

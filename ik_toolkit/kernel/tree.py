@@ -13,8 +13,18 @@ from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import ORTHONORMAL, rigid
-from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
-from .curvature import TipState, add_curvature, add_products
+from .counted_error import (
+    FREE,
+    KEPT,
+    PART,
+    POSE,
+    TipState,
+    add_curvature,
+    add_products,
+    angle_left,
+    turn_axis,
+    vector_ratio,
+)
 from .kinematics import aim, jacobian_rate, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
