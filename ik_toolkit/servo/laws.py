@@ -27,11 +27,20 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes 
 # A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
 MOVING, GIVEN, RUNNING, READY = range(4)
 FINE, NOT_FINITE, RUNAWAY = range(3)  # end of the loop: all steps taken, command not finite, move too large
-# Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
-FAR = 0.25
-SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
-AT = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
 REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
+
+
+@compiled
+class Easing(NamedTuple):
+    """Thresholds for how much of an error is fed back, see `ease`."""
+
+    # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
+    curved: float = 0.25
+    sluggish: float = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
+    touching: float = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
+
+
+EASING = Easing()
 
 
 class State(NamedTuple):
@@ -265,7 +274,11 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
         size = abs(c[i])
-        if walls and (q[i] >= limits[LIMIT.highest, i] - AT if c[i] > 0.0 else q[i] <= limits[LIMIT.lowest, i] + AT):
+        if walls and (
+            q[i] >= limits[LIMIT.highest, i] - EASING.touching
+            if c[i] > 0.0
+            else q[i] <= limits[LIMIT.lowest, i] + EASING.touching
+        ):
             stopped = True
             continue
         cap = fast * limits[LIMIT.speed, i]
@@ -310,7 +323,7 @@ def spare(J, m, e, limits, H, y, c):
 def halved(speed, top):
     """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
     w = 1.0
-    while 0.0 < speed < SLUGGISH * top and speed < w * top:
+    while 0.0 < speed < EASING.sluggish * top and speed < w * top:
         w *= 0.5
     return w
 
@@ -329,7 +342,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     pace, f, wide, blocked, looked = natural(p, h), 1.0, is_wide(J, m), False, allowed.rows >= 0
     for damped in range(2):
         if damped:
-            gram(J, m, wide, FAR * brisk.bend, H)
+            gram(J, m, wide, EASING.curved * brisk.bend, H)
             cholesky(H, m if wide else n, 0.0)
         apply(J, m, H if damped else inverse.G, e, y, c)
         for k in range(allowed.rows):

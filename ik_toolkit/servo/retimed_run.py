@@ -48,9 +48,8 @@ class Retiming(NamedTuple):
     harder: tuple[float, ...] = (10.0, 30.0)
     poses: int = 40  # least number of poses that must all be in reach before `solve_path` is called
     most_poses: int = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
-    exact: float = (
-        1e-6  # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
-    )
+    # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
+    exact: float = 1e-6
     stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
     lead: float = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
     slowest: float = 0.02  # least rate of the reference's clock near obstacles

@@ -38,9 +38,8 @@ class LimitMargins(NamedTuple):
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
-    inwards: float = (
-        0.1  # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
-    )
+    # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
+    inwards: float = 0.1
 
 
 MARGIN = LimitMargins()
@@ -57,9 +56,8 @@ class Calming(NamedTuple):
     reversals: float = 2.0  # so many reversals in a row make a joint oscillate
     window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    lasting: float = (
-        0.2  # [s] for which joints are calmed after a limit, an inequality or a singular pose hindered them
-    )
+    # [s] for which joints are calmed after a limit, an inequality or a singular pose hindered them
+    lasting: float = 0.2
     gain: float = 0.75  # [1/s] The speed of an oscillating joint may grow by this times its speed limit,
     growth: float = 10.0  # [1/s] plus this times its speed.
 
