@@ -151,7 +151,9 @@ class Run:
         """Take runs until one keeps to the reference, or nothing else helps."""
         limits, secondary = self.tracker._limits, self.tracker.secondary
         here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
-        from_rest = at_rest(self.tracker) and np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
+        from_rest = at_rest(self.tracker) and bool(
+            np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
+        )
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
@@ -396,4 +398,4 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
 
 def at_rest(tracker: Tracker) -> bool:
     """Return whether the joints start at rest: their rates are given, and 0."""
-    return tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any()
+    return bool(tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any())
