@@ -149,10 +149,10 @@ class Run:
 
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
-        limits, secondary = self.tracker._limits, self.tracker.secondary
+        secondary, moves = self.tracker.secondary, bool(self.own.V[0].any())
         here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
-        from_rest = at_rest(self.tracker) and bool(
-            np.isfinite(limits[LIMIT.acceleration]).any() and self.own.V[0].any()
+        from_rest = (
+            moves and at_rest(self.tracker) and bool(np.isfinite(self.tracker._limits[LIMIT.acceleration]).any())
         )
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
