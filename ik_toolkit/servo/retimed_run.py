@@ -151,9 +151,7 @@ class Run:
         """Take runs until one keeps to the reference, or nothing else helps."""
         secondary, moves = self.tracker.secondary, bool(self.own.V[0].any())
         here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
-        from_rest = (
-            moves and at_rest(self.tracker) and bool(np.isfinite(self.tracker._limits[LIMIT.acceleration]).any())
-        )
+        from_rest = moves and at_rest(self.tracker) and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
