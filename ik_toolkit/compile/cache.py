@@ -256,7 +256,10 @@ def _hash(data: bytes) -> str:
 
 
 def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
-    """Yield the source files of a class or function, and of the compiled functions and records it uses, if outside STAMPED."""
+    """Yield the source files of a class or function, and of the package's functions and records that it uses, if outside STAMPED.
+
+    Functions that are not compiled count, too: numba compiles an overload in place of them, which calls what they call.
+    """
     seen = set() if seen is None else seen
     thing = getattr(thing, "py_func", thing)
     path = Path(inspect.getsourcefile(thing) or __file__)
@@ -273,5 +276,6 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
         # A function that is called as module.name() is found by its name in the module.
         values += [vars(module).get(name) for module in modules for name in found.unbound]
         for value in values:
-            if isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
+            ours = inspect.isfunction(value) and value.__module__.startswith(__name__.partition(".")[0] + ".")
+            if ours or isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
                 yield from _sources(value, seen)

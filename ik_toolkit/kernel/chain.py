@@ -67,10 +67,7 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n).
-
-    The same as `poses_at`, but in numpy instead of compiled code, so that loading a robot compiles nothing.
-    """
+    """Return what `poses_at` returns, by numpy instead of compiled code, so that loading a robot compiles nothing."""
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
     for M, flat in ((base, ends[:12]), (tip, ends[12:24])):
@@ -183,6 +180,33 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     return features
 
 
+def coordinate_numbers(
+    lower: np.ndarray, upper: np.ndarray, home: np.ndarray, slides: np.ndarray, turns: np.ndarray, scale: float
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return the units (n,) of coordinates, their seven properties (n,) in `records.Ends`, and the range of starts, low and high.
+
+    lower, upper, home (n,) [rad or m]; slides, turns (n,): whether a coordinate is a length, and whether it may wrap by 2 pi.
+    """
+    unit = np.where(slides, scale, 1.0)
+    low, high = start_range(lower / unit, upper / unit, slides, turns)
+    # An endless joint is brought back after five turns during the search; the answer is moved by 2 pi k to the value nearest q0.
+    endless = turns & np.isinf(lower) & np.isinf(upper)
+    inside = np.where(endless, -WINDING, lower / unit), np.where(endless, WINDING, upper / unit), turns + 1.0 * endless
+    return unit, [*inside, unit, low, high - low, home / unit], low, high
+
+
+def resize(rows: np.ndarray, slides: np.ndarray, factor: float) -> None:
+    """Multiply all lengths in the geometry `rows` (L, 10) by a factor, in place; slides (n,): whether a coordinate is a length."""
+    rows[:, [2, 3, 7]] *= factor
+    follows = ~slides[rows[:, 8].astype(int)] & (rows[:, 9] == 0.0)
+    rows[follows, 6] *= factor  # A prismatic joint that follows a revolute one has a length as ratio.
+
+
+def lengths_only(rows: np.ndarray, n: int) -> np.ndarray:
+    """Return whether each of n coordinates moves prismatic joints only (n,)."""
+    return ~np.isin(np.arange(n), rows[rows[:, 9] > 0.0, 8])
+
+
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
     """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [internal units]."""
     lengths = segments(rows, lower, upper)
@@ -247,7 +271,7 @@ def pack(
     rows, base, tip = rows.copy(), base.copy(), tip.copy()
     n = len(lower)
     owner = rows[:, 8].astype(int)
-    slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
+    slides = lengths_only(rows, n)
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
     # A coordinate may wrap by 2 pi only if it moves a single joint, with ratio 1.
@@ -265,20 +289,12 @@ def pack(
     # Some files give a prismatic joint a stroke of 1000 km to say "far". In so long a unit a tolerance of 1e-6 m would be lost.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
-    rows[:, [2, 3, 7]] /= scale
-    for i, k in enumerate(owner):
-        if not slides[k] and not rows[i, 9]:  # A prismatic joint that follows a revolute one has a length as ratio.
-            rows[i, 6] /= scale
+    resize(rows, slides, 1.0 / scale)
     base[9:] /= scale
     tip[9:] /= scale
-    unit = np.where(slides, scale, 1.0)
-    low_k, high_k = lower / unit, upper / unit
-    # An endless joint is brought back after five turns during the search; the answer is moved by 2 pi k to the value nearest q0.
-    endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = start_range(low_k, high_k, slides, turns)
-    tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
-    inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
-    ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
+    unit, vectors, low, high = coordinate_numbers(lower, upper, home, slides, turns, scale)
+    tail = [scale, *reach_bounds(rows, tip, lower / unit, upper / unit)]
+    ends = np.concatenate([base, tip, *vectors, tail])
     seeds = known_configurations(low, high, home / unit, SEEDS)
     features = table(rows, ends, seeds, evaluate)
     features[12, :SEEDS] += HOME_WEIGHT * ((seeds - home / unit) ** 2).sum(1)
@@ -360,36 +376,19 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
     scale = max(chain.scale for chain in chains)
     parts = []
     # Lengths are converted back to metres, without rounding, because the scales are powers of two.
-    for chain, place in zip(chains, places, strict=True):
-        rows, own = chain.rows.copy(), chain.rows[:, 8].astype(int)
-        turning = [rows[own == k, 9].any() for k in range(chain.n)]
-        rows[:, [2, 3, 7]] *= chain.scale
-        for i, k in enumerate(own):
-            if turning[k] and not rows[i, 9]:
-                rows[i, 6] *= chain.scale
-        rows[:, 8] = place[own]
-        parts.append(rows)
-    every = np.concatenate(parts)
-    slides = np.array([not every[every[:, 8] == k, 9].any() for k in range(n)])
-    unit = np.where(slides, scale, 1.0)
     turns = upper - lower >= TAU - 1e-9
     for chain, place in zip(chains, places, strict=True):
+        rows = chain.rows.copy()
+        resize(rows, lengths_only(rows, chain.n), chain.scale)
+        rows[:, 8] = place[rows[:, 8].astype(int)]
+        parts.append(rows)
         turns[place] &= chain.turns > 0.0
-    endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = start_range(lower / unit, upper / unit, slides, turns)
-    inside = [
-        np.where(endless, -WINDING, lower / unit),
-        np.where(endless, WINDING, upper / unit),
-        turns + 1.0 * endless,
-    ]
-    vectors = [*inside, unit, low, high - low, home / unit]
+    slides = lengths_only(np.concatenate(parts), n)
+    unit, vectors, low, high = coordinate_numbers(lower, upper, home, slides, turns, scale)
     ends = np.empty((F, POINTS + 8 * n + 8))
     for f, (chain, place, rows) in enumerate(zip(chains, places, parts, strict=True)):
         factor = chain.scale / scale
-        rows[:, [2, 3, 7]] /= scale
-        for i, k in enumerate(rows[:, 8].astype(int)):
-            if not slides[k] and not rows[i, 9]:
-                rows[i, 6] /= scale
+        resize(rows, slides, 1.0 / scale)
         points = chain.ends[:POINTS].copy()
         points[[9, 10, 11, 21, 22, 23]] *= factor
         moves = np.zeros(n)

@@ -7,6 +7,7 @@ from ..compile.jit import cached, inner
 from .algebra import V3, at3, put3, rotation_at
 from .counted_error import allowance
 from .records import WHAT
+from .vectors import dot
 
 # The status codes that compiled solvers return; `solvers.status.Status` explains them to the user.
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
@@ -116,8 +117,7 @@ def standstill(p, look, near, boxed):
     whole, free, size = 0.0, 0.0, 0.0
     for i in range(q.shape[0]):
         g = p.slope(look, i)
-        for k in range(J.shape[1]):
-            size += J[i, k] * J[i, k]
+        size += dot(J[i], J[i], J.shape[1])
         whole += g * g
         if not (boxed and ((q[i] <= near.lower(i) and g < 0.0) or (q[i] >= near.upper(i) and g > 0.0))):
             free += g * g

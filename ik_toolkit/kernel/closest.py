@@ -13,10 +13,10 @@ from ..compile.jit import cached, inline
 from .checks import CONVERGED
 from .dispatch import problem_on
 from .limits import hold
-from .linalg import row_product
-from .null_space import REFERENCE, make_bounds, move
+from .null_space import REFERENCE, add_inside, make_bounds
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
+from .vectors import dot, largest
 
 
 class Descent(NamedTuple):
@@ -54,7 +54,7 @@ def held_wrongly(s, error, weights, box):
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
         if weights[i] > 0.0:
-            g = row_product(s.J, i, error)
+            g = dot(s.J[i], error, error.shape[0])
             if s.w[i] > 0.0:
                 free += g * g
             elif g > 0.0 if s.q[i] <= box.lower(i) else g < 0.0:
@@ -80,13 +80,10 @@ def step_down(p, error, damping, weights, box, pressed):
         pressed = held_wrongly(s, error, weights, box)
     if pressed:
         for i in range(s.q.shape[0]):
-            g, w = row_product(s.J, i, error), weights[i]
+            g, w = dot(s.J[i], error, error.shape[0]), weights[i]
             s.w[i] = 0.0 if (s.q[i] <= box.lower(i) and g <= 0.0) or (s.q[i] >= box.upper(i) and g >= 0.0) else w
         p.toward(error, damping)
-    size = 0.0
-    for i in range(s.q.shape[0]):
-        size = max(size, abs(s.dq[i]))
-    return size
+    return largest(s.dq)
 
 
 @inline
@@ -103,7 +100,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     p.head_for(T)
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
-    move(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
+    add_inside(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
         e = p.evaluate(s.q)
@@ -129,7 +126,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
             size = step_down(p, error, share * value, weights, box, pressed)
         if size < DOWN.smallest or share > DOWN.most:
             break
-        move(s.q, s.dq, 1.0, box)
+        add_inside(s.q, s.dq, 1.0, box)
     row[AT.evaluations] += made
     if made > 1:
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)

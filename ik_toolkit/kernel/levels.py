@@ -19,6 +19,7 @@ from .limits import hold
 from .linalg import cholesky, cholesky_solve, eigen, reflect_row, triangle
 from .records import Array, copy
 from .search import AT_MINIMUM
+from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
 
 
 class LevelSteps(NamedTuple):
@@ -28,9 +29,8 @@ class LevelSteps(NamedTuple):
     first_order: float = 1e-6
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
-    pivot: float = (
-        1e-4  # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
-    )
+    # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
+    pivot: float = 1e-4
     flat: float = 1e-3  # smallest curvature that a level acts on; flatter directions are left to the next level
     # the same for a position out of reach, where a joint may still change the error by micrometres
     flat_reach: float = 1e-6
@@ -41,12 +41,10 @@ class LevelSteps(NamedTuple):
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
     most: int = 20  # it also ends after so many attempts if any has reached level 0
-    at_once: int = (
-        48  # attempts with all errors at one level, if there are at least as many joints as errors that count
-    )
-    at_once_few: int = (
-        3  # the same for fewer joints: with them 9 of 1,000 reachable poses of the SO-101 are missed, without them 50
-    )
+    # attempts with all errors at one level, if there are at least as many joints as errors that count
+    at_once: int = 48
+    # the same for fewer joints: with them 9 of 1,000 reachable poses of the SO-101 are missed, without them 50
+    at_once_few: int = 3
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which level 0 is taken to be out of reach
     # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
@@ -69,7 +67,7 @@ class StepTables(NamedTuple):
     triangle: Array  # (r, r) Cholesky factor of border border', damped
     gradient: Array  # (n,) of half the squared errors of a level
     rhs: Array  # right side of a linear system
-    pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
+    pull: Array  # (m,) factors of the second derivatives of the errors, see `counted_error.add_curvature`
     chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
     asked: Array  # (n,) joint weights from before joints were held
     dz: Array  # (n,) step of a level in the null space
@@ -94,8 +92,7 @@ def tables_of(s):
 def slope_of_level(p, c, level, out):
     """Write to out (n,) the gradient of half the squared errors of level c; the errors must be in p.desk.y (method `stack`)."""
     s = p.desk
-    for i in range(s.q.shape[0]):
-        out[i] = 0.0
+    clear(out)
     for g in range(level.shape[0]):
         if level[g] == c:
             factor = p.tilt(g)
@@ -109,8 +106,7 @@ def hessian_of_level(p, c, level, bench):
     """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it."""
     n = p.desk.q.shape[0]
     for i in range(n):
-        for j in range(n):
-            bench.hessian[i, j] = 0.0
+        clear(bench.hessian[i])
     for g in range(level.shape[0]):
         bench.chosen[g] = 1.0 if level[g] == c else 0.0
         for k in range(3 * g, 3 * g + 3):
@@ -131,40 +127,30 @@ def onto_constraint(s, level, k, value, bench):
         bench: Scratch; `border` and `triangle` are filled for `multipliers`.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
-    r = 0
-    for g in range(level.shape[0]):
-        if level[g] == 0.0:
-            for h in range(3 * g, 3 * g + 3):
-                for i in range(k):
-                    V[r, i] = s.J[int(free[i]), h]
-                b[r] = s.y[h]
-                r += 1
+    r, most = 0, 0.0
+    for h in range(s.J.shape[1]):
+        if level[h // 3] == 0.0:
+            for i in range(k):
+                B[r, i] = V[r, i] = s.J[int(free[i]), h]
+            b[r] = s.y[h]
+            r += 1
     damping = QUADRATIC.damping * value + QUADRATIC.least_damping
     for x in range(r):
-        for i in range(k):
-            B[x, i] = V[x, i]
         for z in range(x + 1):
-            total = 0.0
-            for i in range(k):
-                total += V[x, i] * V[z, i]
-            A[x, z] = total
+            A[x, z] = dot(V[x], V[z], k)
         A[x, x] += damping
     cholesky(A, r, damping)
     cholesky_solve(A, r, b)
     rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
-    most = 0.0
     for i in range(k):
-        total = 0.0
-        for x in range(r):
-            total += B[x, i] * b[x]
-        s.dq[int(free[i])] = total
-        most = max(most, abs(total))
+        s.dq[int(free[i])] = move = dot_with_column(b, B, i, r)
+        most = max(most, abs(move))
     if most > QUADRATIC.longest_along:
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most
     for j in range(rank, k):  # The reflections, last one first, take the unit vector j to a null-space vector.
-        for i in range(k):
-            bench.row[i] = 1.0 if i == j else 0.0
+        clear(bench.row)
+        bench.row[j] = 1.0
         for i in range(rank - 1, -1, -1):
             reflect_row(V, bench.scales, i, bench.row, k)
         for i in range(s.dq.shape[0]):
@@ -186,48 +172,33 @@ def down_level(s, k, flattest, last, bench, box):
         gradient if that is above 1.
     """
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
-    b, dz, steep, whole = bench.rhs, bench.dz, 0.0, 1.0
+    b, dz, slope, steep, whole = bench.rhs, bench.dz, bench.row, 0.0, 1.0
     for i in range(n):
         whole = max(whole, bench.gradient[i] * bench.gradient[i])
+        slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient after the step so far
     for x in range(k):
-        here, ahead = 0.0, 0.0
         for i in range(n):
-            product, total = 0.0, bench.gradient[i]
-            for j in range(n):
-                product += H[i, j] * Z[j, x]
-                total += H[i, j] * s.dq[j]
-            A[i, x] = product
-            here += Z[i, x] * bench.gradient[i]
-            ahead += Z[i, x] * total
-        steep += here * here
-        b[x] = -ahead
+            A[i, x] = dot_with_column(H[i], Z, x, n)
+        b[x] = -dot_with_column(slope, Z, x, n)
+        steep += dot_with_column(bench.gradient, Z, x, n) ** 2
     for x in range(k):
         for z in range(k):
-            total = 0.0
-            for i in range(n):
-                total += Z[i, x] * A[i, z]
-            W[x, z] = total
+            W[x, z] = dot_of_columns(Z, x, A, z, n)
     eigen(W, V, k)
-    for i in range(n):
-        dz[i] = 0.0
+    clear(dz)
     left, size = 0, 0.0
     for z in range(k):
-        along = 0.0
-        for x in range(k):
-            along += V[x, z] * b[x]
+        along = dot(V[z], b, k)
         flat = abs(W[z, z]) < flattest
         passed = flat and not last and abs(along) <= QUADRATIC.first_order
         along = 0.0 if passed else along / max(abs(W[z, z]), flattest)
         size += along * along
         for i in range(n):
-            total = 0.0
-            for x in range(k):
-                total += Z[i, x] * V[x, z]
-            dz[i] += along * total
+            direction = dot(Z[i], V[z], k)
+            dz[i] += along * direction
             if passed:
-                A[i, left] = total
-        if passed:
-            left += 1
+                A[i, left] = direction
+        left += passed
     for i in range(n):
         for z in range(left):
             Z[i, z] = A[i, z]
@@ -250,22 +221,20 @@ def multipliers(level, k, bench):
 
     It uses the factors that `onto_constraint` has left.
     """
-    b, r = bench.rhs, 0
+    b, out, r = bench.rhs, bench.multiplier, 0
+    clear(out)
     for g in range(level.shape[0]):
-        if level[g] == 0.0:
-            for _ in range(3):
-                b[r] = 0.0
-                for i in range(k):
-                    b[r] += bench.border[r, i] * bench.gradient[int(bench.free[i])]
-                r += 1
+        for _ in range(3 if level[g] == 0.0 else 0):
+            b[r] = 0.0
+            for i in range(k):
+                b[r] += bench.border[r, i] * bench.gradient[int(bench.free[i])]
+            r += 1
     cholesky_solve(bench.triangle, r, b)
     r = 0
-    for g in range(level.shape[0]):
-        for h in range(3 * g, 3 * g + 3):
-            bench.multiplier[h] = 0.0
-            if level[g] == 0.0:
-                bench.multiplier[h] = -b[r]
-                r += 1
+    for h in range(3 * level.shape[0]):
+        if level[h // 3] == 0.0:
+            out[h] = -b[r]
+            r += 1
 
 
 @inner
@@ -274,20 +243,19 @@ def inverse_multipliers(s, level, k, bench):
 
     The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
     """
-    V, W, free, out = bench.turned, bench.reduced, bench.free, bench.multiplier
-    for h in range(s.J.shape[1]):
-        out[h] = 0.0
+    V, W, free, mu, out = bench.turned, bench.reduced, bench.free, bench.row, bench.multiplier
+    clear(mu)
     for z in range(k):
         if abs(W[z, z]) >= QUADRATIC.flat_reach:
             along = 0.0
             for x in range(k):
-                along += V[x, z] * bench.gradient[int(free[x])]
+                along += V[z, x] * bench.gradient[int(free[x])]
+            add_multiple(mu, -along / abs(W[z, z]), V[z], k)
+    clear(out)
+    for h in range(s.J.shape[1]):
+        if level[h // 3] == 0.0:
             for x in range(k):
-                mu = -V[x, z] * along / abs(W[z, z])
-                for g in range(level.shape[0]):
-                    if level[g] == 0.0:
-                        for h in range(3 * g, 3 * g + 3):
-                            out[h] += s.J[int(free[x]), h] * mu
+                out[h] += s.J[int(free[x]), h] * mu[x]
 
 
 @inner
@@ -296,9 +264,7 @@ def wrongly_held(s, bench, box):
     worst, most = -1, 10.0 * QUADRATIC.first_order
     for i in range(s.q.shape[0]):
         if bench.asked[i] > 0.0 and not s.w[i] > 0.0:
-            z = bench.gradient[i]
-            for h in range(s.J.shape[1]):
-                z += s.J[i, h] * bench.multiplier[h]
+            z = bench.gradient[i] + dot(s.J[i], bench.multiplier, s.J.shape[1])
             inwards = -z if s.q[i] <= box.lower(i) else z
             if inwards > most:
                 worst, most = i, inwards
@@ -323,16 +289,14 @@ def step_by_levels(p, e, level, far):
     released, first = False, 0 if far else 1  # The joint limits act on the first level that is minimised.
     for _ in range(2 * n + 2):
         k = 0
+        clear(s.dq)
         for i in range(n):
-            s.dq[i] = 0.0
-            for j in range(n):
-                bench.basis[i, j] = 0.0
+            clear(bench.basis[i])
             if s.w[i] > 0.0:
                 bench.free[k], bench.basis[i, k] = i, 1.0
                 k += 1
         steep, count, inward = 0.0, k, -1
-        for h in range(s.J.shape[1]):
-            bench.multiplier[h] = 0.0
+        clear(bench.multiplier)
         for c in range(int(top) + 1):
             if c == 0 and not far:
                 k = onto_constraint(s, level, k, value, bench)

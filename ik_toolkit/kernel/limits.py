@@ -1,15 +1,29 @@
 """Joint limits and wrapping: which joints are held, where a step ends, and which of the angles q + 2 pi k is returned."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import inline, inner
+from ..compile.jit import compiled, inline, inner
 from .kinematics import TAU
 
 # A start with a larger coordinate [rad, or length over the reach] is refused: such an angle has only seven digits after the point.
 LARGEST = 1e9
 LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
+
+
+@compiled
+class LimitRows(NamedTuple):
+    """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
+
+    lowest: int = 0  # `lower` and `upper` are methods of kernel records, whose names no field may have
+    highest: int = 1
+    speed: int = 2
+    acceleration: int = 3
+
+
+LIMIT = LimitRows()
 
 
 @inline

@@ -4,12 +4,13 @@ import math
 
 from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
+from .records import copy
+from .vectors import clear, dot, dot_of_columns, dot_with_column
 
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-# A column shorter than this share of the longest is rounding. It has no direction, so rotating it would never end.
-NOISE = 1e-15
+NOISE = 1e-15  # A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 
@@ -70,11 +71,10 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
     """
     n, m = J.shape
     F = m // 6
+    copy(e, y)
     for r in range(m):
-        for k in range(r + 1):
-            A[r, k] = 0.0
+        clear(A[r])
         A[r, r] = damping
-        y[r] = e[r]
     for i in range(n):
         if w[i] > 0.0:
             for f in range(F):
@@ -88,19 +88,7 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
     cholesky(A, m, TINY)
     cholesky_solve(A, m, y)
     for i in range(n):
-        s = 0.0
-        for r in range(m):
-            s += J[i, r] * y[r]
-        dq[i] = w[i] * s
-
-
-@inner
-def row_product(J, i, e):
-    """Return the product of row i of J (n, m) with errors e (m,): how fast |e|^2 / 2 falls as joint i moves."""
-    total = 0.0
-    for k in range(e.shape[0]):
-        total += J[i, k] * e[k]
-    return total
+        dq[i] = w[i] * dot(J[i], y, m)
 
 
 @inline
@@ -116,6 +104,14 @@ def jacobi(a, b, g):
 
 
 @inline
+def rotate(x, y, cosine, sine, n):
+    """Rotate the first n numbers of two vectors in place by a Jacobi rotation."""
+    for i in range(n):
+        u, v = x[i], y[i]
+        x[i], y[i] = cosine * u - sine * v, sine * u + cosine * v
+
+
+@inline
 def make_orthogonal(A, V, m):
     """Write to V (m, m) a rotation for which A V has orthogonal columns, and replace A (n, m) by A V (Hestenes' Jacobi method).
 
@@ -123,10 +119,7 @@ def make_orthogonal(A, V, m):
     """
     n, longest = A.shape[0], 0.0
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += A[i, r] * A[i, r]
-        longest = max(longest, a)
+        longest = max(longest, dot_of_columns(A, r, A, r, n))
         for c in range(m):
             V[r, c] = 1.0 if r == c else 0.0
     noise = NOISE * NOISE * longest
@@ -144,52 +137,34 @@ def make_orthogonal(A, V, m):
                 rotated = True
                 cs, sn = jacobi(a, b, g)
                 for i in range(n):
-                    u, v = A[i, r], A[i, c]
-                    A[i, r] = cs * u - sn * v
-                    A[i, c] = sn * u + cs * v
+                    A[i, r], A[i, c] = cs * A[i, r] - sn * A[i, c], sn * A[i, r] + cs * A[i, c]
                 for k in range(m):
-                    u, v = V[k, r], V[k, c]
-                    V[k, r] = cs * u - sn * v
-                    V[k, c] = sn * u + cs * v
+                    V[k, r], V[k, c] = cs * V[k, r] - sn * V[k, c], sn * V[k, r] + cs * V[k, c]
         if not rotated:
             break
 
 
 @inner
-def make_rows_orthogonal(A, B, square, first, r, n):
-    """Make r rows of A, from row `first` on, orthogonal by Jacobi rotations, and apply these rotations to the same rows of B.
-
-    Only the first n columns of A count. square receives the squared lengths of these rows of A, at the indices of the rows.
-    """
+def make_rows_orthogonal(A, B, square):
+    """Make the rows of A orthogonal by Jacobi rotations, and rotate the rows of B alike; square receives the squared lengths."""
+    m, n = A.shape
     longest = 0.0
-    for k in range(first, first + r):
-        square[k] = 0.0
-        for i in range(n):
-            square[k] += A[k, i] * A[k, i]
+    for k in range(m):
+        square[k] = dot(A[k], A[k], n)
         longest = max(longest, square[k])
     noise = NOISE * NOISE * longest
     for _ in range(SWEEPS):
         rotated = False
-        for k in range(first, first + r - 1):
-            for c in range(k + 1, first + r):
-                a, b, g = square[k], square[c], 0.0
-                for i in range(n):
-                    g += A[k, i] * A[c, i]
+        for k in range(m - 1):
+            for c in range(k + 1, m):
+                a, b, g = square[k], square[c], dot(A[k], A[c], n)
                 if not abs(g) > ORTHOGONAL * math.sqrt(a * b) or min(a, b) <= noise:
                     continue
                 rotated = True
                 cs, sn = jacobi(a, b, g)
-                a, b = 0.0, 0.0
-                for i in range(n):
-                    u, v = cs * A[k, i] - sn * A[c, i], sn * A[k, i] + cs * A[c, i]
-                    a += u * u
-                    b += v * v
-                    A[k, i], A[c, i] = u, v
-                square[k], square[c] = a, b
-                for i in range(B.shape[1]):
-                    u, v = B[k, i], B[c, i]
-                    B[k, i] = cs * u - sn * v
-                    B[c, i] = sn * u + cs * v
+                rotate(A[k], A[c], cs, sn, n)
+                rotate(B[k], B[c], cs, sn, B.shape[1])
+                square[k], square[c] = dot(A[k], A[k], n), dot(A[c], A[c], n)
         if not rotated:
             break
 
@@ -205,20 +180,12 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
     make_orthogonal(J, V, m)
     top = 0.0
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += J[i, r] * J[i, r]
-        top = max(top, a)
-    for i in range(n):
-        dq[i] = 0.0
+        top = max(top, dot_of_columns(J, r, J, r, n))
+    clear(dq)
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += J[i, r] * J[i, r]
+        a = dot_of_columns(J, r, J, r, n)
         if a > rcond * rcond * top and a > 0.0:
-            g = 0.0
-            for k in range(m):
-                g += V[k, r] * e[k]
+            g = dot_with_column(e, V, r, m)
             for i in range(n):
                 dq[i] += J[i, r] * (g / a)
 
@@ -270,9 +237,8 @@ def lu_factor(M, swaps, m, faint):
             if abs(M[i, k]) > best:
                 at, best = i, abs(M[i, k])
         swaps[k] = at
-        if at != k:
-            for j in range(m):
-                M[k, j], M[at, j] = M[at, j], M[k, j]
+        for j in range(m if at != k else 0):
+            M[k, j], M[at, j] = M[at, j], M[k, j]
         largest = max(largest, best)
         if best <= faint * largest:
             M[k, k] = max(faint * largest, 1e-300)
@@ -332,10 +298,9 @@ def triangle(V, count, m, scales, order, share):
                 total += V[c, n] * V[c, n]
             if total > best:
                 at, best = c, total
-        if at != k:
-            for n in range(m):
-                V[k, n], V[at, n] = V[at, n], V[k, n]
-            order[k], order[at] = order[at], order[k]
+        for n in range(m if at != k else 0):
+            V[k, n], V[at, n] = V[at, n], V[k, n]
+        order[k], order[at] = order[at], order[k]
         length = math.sqrt(best)
         first = max(first, length)
         if length <= share * first:
@@ -355,7 +320,7 @@ def triangle(V, count, m, scales, order, share):
 
 @inner
 def eigen(W, V, k):
-    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the columns of V."""
+    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the rows of V."""
     for i in range(k):
         for j in range(k):
             V[i, j] = 1.0 if i == j else 0.0
@@ -363,23 +328,14 @@ def eigen(W, V, k):
         beside, diagonal = 0.0, 0.0
         for i in range(k):
             diagonal += W[i, i] * W[i, i]
-            for j in range(i):
-                beside += W[i, j] * W[i, j]
+            beside += dot(W[i], W[i], i)
         if beside <= 1e-24 * diagonal:
             break
         for i in range(k - 1):
             for j in range(i + 1, k):
-                if W[i, j] == 0.0:
-                    continue
-                ratio = 0.5 * (W[j, j] - W[i, i]) / W[i, j]
-                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for h in range(k):
-                    a, b = W[h, i], W[h, j]
-                    W[h, i], W[h, j] = c * a - s * b, s * a + c * b
-                    a, b = V[h, i], V[h, j]
-                    V[h, i], V[h, j] = c * a - s * b, s * a + c * b
-                for h in range(k):
-                    a, b = W[i, h], W[j, h]
-                    W[i, h], W[j, h] = c * a - s * b, s * a + c * b
+                if W[i, j] != 0.0:
+                    c, s = jacobi(W[i, i], W[j, j], W[i, j])
+                    for h in range(k):
+                        W[h, i], W[h, j] = c * W[h, i] - s * W[h, j], s * W[h, i] + c * W[h, j]
+                    rotate(W[i], W[j], c, s, k)
+                    rotate(V[i], V[j], c, s, k)

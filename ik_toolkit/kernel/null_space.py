@@ -15,6 +15,7 @@ from .limits import LIGHTEST, hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
+from .vectors import dot_of_columns, largest
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
 SINGLE = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
@@ -75,18 +76,13 @@ def log_manipulability(p, ends):
     J, A = p.desk.J, p.desk.A
     m = 0
     for r in range(p.width()):
-        size = 0.0
-        for i in range(J.shape[0]):
-            size += J[i, r] * J[i, r]
-        if size > NULL.influence:
+        if dot_of_columns(J, r, J, r, J.shape[0]) > NULL.influence:
             for i in range(J.shape[0]):
                 J[i, m] = J[i, r] / ends.unit(i)
             m += 1
     for r in range(m):
         for c in range(r + 1):
-            A[r, c] = 0.0
-            for i in range(J.shape[0]):
-                A[r, c] += J[i, r] * J[i, c]
+            A[r, c] = dot_of_columns(J, r, J, c, J.shape[0])
     cholesky(A, m, NULL.volume)
     total = 0.0
     for r in range(m):
@@ -104,7 +100,7 @@ def objective_goal(what, ends, ref, i):
 
 
 @inline
-def move(q, dq, factor, box):
+def add_inside(q, dq, factor, box):
     """Add factor * dq to q, inside the bounds."""
     for i in range(q.shape[0]):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
@@ -128,7 +124,7 @@ def onto_target(p, weights, box, enough):
             p.damped(e, DAMPING)
             if not hold(s.q, s.dq, s.w, box):
                 break
-        move(s.q, s.dq, 1.0, box)
+        add_inside(s.q, s.dq, 1.0, box)
     return e
 
 
@@ -246,9 +242,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         for i in range(n):
             w[i] = weights[i] * (full.span(i) * full.span(i) if what == MID_RANGE else 1.0)
         direction(p, z, box)
-        size = 0.0
-        for i in range(n):
-            size = max(size, abs(dq[i]))
+        size = largest(dq)
         if size < NULL.smallest:
             break
         if fresh:
@@ -256,7 +250,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         if better:
             copy(old, before)
             copy(dq, way)
-        move(q, dq, gain * min(1.0, NULL.longest / size), box)
+        add_inside(q, dq, gain * min(1.0, NULL.longest / size), box)
     if taken > 0:
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
         p.report(BEST_OF_ALL, row)

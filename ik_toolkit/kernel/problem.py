@@ -24,7 +24,7 @@ Both have the same methods, so solver rules and loops are written once. Lengths 
     group(look, g), allowed(g)  return the squared error of group g and its tolerance; position and rotation of a tip are groups
     exact(x, level)    aim at the targets themselves, not at the edge of the reach; return x, by how much level 0 is out of reach
     tilt(g)            return sin(angle) / angle of a rotation measured by 2 sin(angle/2), else 1; needs `stack`
-    curvature(c, least, H)  add second derivatives of the errors to H, see `curvature.add_curvature`; needs J and `stack`
+    curvature(c, least, H)  add second derivatives of the errors to H, see `counted_error.add_curvature`; needs J and `stack`
     bounds_of_step()   return the limits of a step (Ends)
     keep, left, report store and return the errors of the answer
 

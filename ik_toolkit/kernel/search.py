@@ -38,6 +38,7 @@ from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .starts import BEST, FEATURES, StartTable, make_table, sow
+from .vectors import clear
 
 # A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
 # ends an attempt with success: q is a first-order minimum (see levels.py).
@@ -289,8 +290,7 @@ def start_attempt(p, job, k, excess):
             iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
     if excess > 0.0 or k + o.given + 1.0 >= o.attempts:
         ceiling = np.inf  # The last attempt, and any at a target out of reach, is never given up early.
-    for i in range(p.desk.x.shape[0]):
-        p.desk.x[i] = 0.0
+    clear(p.desk.x)
     return Patience(iterations, ceiling, decay)
 
 

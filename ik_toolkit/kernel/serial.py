@@ -8,8 +8,18 @@ import numpy as np
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .counted_error import FREE, KEPT, POSE, POSITION, angle_left, counts, turn_axis, vector_ratio
-from .curvature import TipState, add_curvature
+from .counted_error import (
+    FREE,
+    KEPT,
+    POSE,
+    POSITION,
+    TipState,
+    add_curvature,
+    angle_left,
+    counts,
+    turn_axis,
+    vector_ratio,
+)
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import (
@@ -28,6 +38,7 @@ from .problem import (
 )  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
 from .starts import nearest_seeds, rnd
+from .vectors import clear
 
 
 @compiled
@@ -235,8 +246,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
-        trig[i] = 0.0
+    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
         make_desk(block, n, 6),

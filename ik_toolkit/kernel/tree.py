@@ -13,10 +13,20 @@ from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import ORTHONORMAL, rigid
-from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
-from .curvature import TipState, add_curvature, add_products
+from .counted_error import (
+    FREE,
+    KEPT,
+    PART,
+    POSE,
+    TipState,
+    add_curvature,
+    add_products,
+    angle_left,
+    turn_axis,
+    vector_ratio,
+)
 from .kinematics import aim, jacobian_rate, room
-from .linalg import damped_stack, pseudo_inverse_step, row_product
+from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
     GOAL,
     Desk,
@@ -34,6 +44,7 @@ from .problem import (
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
+from .vectors import clear, dot
 
 # A tip with a squared error [rad^2, or squared length over the reach] below this counts as arrived, and mostly keeps its joints in
 # the next random start.
@@ -72,16 +83,38 @@ class TreeProblem(NamedTuple):
     orders: Orders
     boxed: bool  # whether joint limits are kept
 
+    def ends_of(self, f):
+        """Return base, tip and joint limits of tip f."""
+        return Ends(self.ends[f], self.desk.q.shape[0])
+
+    def rows_of(self, f):
+        """Return the geometry of tip f's chain."""
+        return self.rows[self.cut[f] : self.cut[f + 1]]
+
+    def joints_of(self, f):
+        """Return axis and point of each joint of tip f's chain, and of later chains."""
+        return self.joints[6 * self.cut[f] :]
+
+    def tolerances_of(self, f):
+        """Return the squared tolerances of position and rotation of tip f."""
+        return tolerances(self.orders, self.kind_of(f), self.ends_of(f).scale())
+
+    def kind_of(self, f):
+        """Return which part of tip f's error counts."""
+        return int(self.tasks[f, WHAT.kind])
+
+    def other_of(self, f):
+        """Return the tip that the target of tip f is relative to, or -1."""
+        return int(self.tasks[f, WHAT.other])
+
     def aim(self, T, orders):
         return aim_tips(self, T, orders)
 
     def place(self, f, q):
         """Compute the pose of tip f at q, and store it in poses[f]."""
-        rows = self.rows[self.cut[f] : self.cut[f + 1]]
-        angles = room(rows.shape[0])[1]
-        axes, tip = tip_at(
-            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.cut[f] :], self.trig[:angles]
-        )
+        rows = self.rows_of(f)
+        trig = self.trig[: room(rows.shape[0])[1]]
+        axes, tip = tip_at(rows, self.ends_of(f), q, self.joints_of(f), trig)
         put_axes(self.poses[f], 0, axes)
         put3(self.poses[f], 9, tip)
 
@@ -97,17 +130,13 @@ class TreeProblem(NamedTuple):
         total, good = 0.0, True
         e = self.desk.e
         for f in range(self.tasks.shape[0]):
-            other = int(self.tasks[f, WHAT.other])
+            other = self.other_of(f)
             if other >= 0:
                 carry(self.poses[other], self.links[f], self.goals[f])
-            ends, axes, tip = (
-                Ends(self.ends[f], self.desk.q.shape[0]),
-                rotation_at(self.poses[f], 0),
-                at3(self.poses[f], 9),
-            )
-            linear, angular = errors_at(self.tasks[f], ends, self.goals[f], self.kept[f], axes, tip)
+            axes, tip = rotation_at(self.poses[f], 0), at3(self.poses[f], 9)
+            linear, angular = errors_at(self.tasks[f], self.ends_of(f), self.goals[f], self.kept[f], axes, tip)
             pp, rr = linear.square(), angular.square()
-            tp, tr = tolerances(self.orders, int(self.tasks[f, WHAT.kind]), ends.scale())
+            tp, tr = self.tolerances_of(f)
             good = good and pp < tp and rr < tr
             total += pp + rr
             put3(e, 6 * f, linear)
@@ -116,14 +145,13 @@ class TreeProblem(NamedTuple):
         return Looks(total, good)
 
     def jacobian(self, look):
-        cut, J = self.cut, self.desk.J
+        J = self.desk.J
         for f in range(self.tasks.shape[0]):
-            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
-            fill(self.rows[cut[f] : cut[f + 1]], False, task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
-            other = int(task[WHAT.other])
+            task, kept, other = self.tasks[f], self.kept[f], self.other_of(f)
+            fill(self.rows_of(f), False, task, kept, self.joints_of(f), at3(self.poses[f], 9), J, 6 * f)
             if other >= 0:
-                rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]
-                fill_goal(rows, task, kept, joints, self.poses[other], self.links[f], J, 6 * f)
+                pose, link = self.poses[other], self.links[f]
+                fill_goal(self.rows_of(other), task, kept, self.joints_of(other), pose, link, J, 6 * f)
 
     def damped(self, look, damping):
         s = self.desk
@@ -146,32 +174,30 @@ class TreeProblem(NamedTuple):
         for h in range(0, e.shape[0], 6):
             angular = at3(e, h + 3)
             put3(y, h, at3(e, h))
-            put3(y, h + 3, angular * vector_ratio(int(self.tasks[h // 6, WHAT.kind]), angular.square()))
+            put3(y, h + 3, angular * vector_ratio(self.kind_of(h // 6), angular.square()))
 
     def slope(self, look, i):
-        return row_product(self.desk.J, i, self.desk.e)
+        return dot(self.desk.J[i], self.desk.e, self.desk.e.shape[0])
 
     def norm(self, look, weight):
         total = 0.0
         for h in range(0, self.desk.e.shape[0], 6):
             linear, angular = at3(self.desk.e, h), at3(self.desk.e, h + 3)
-            ratio = weight * vector_ratio(int(self.tasks[h // 6, WHAT.kind]), angular.square())
+            ratio = weight * vector_ratio(self.kind_of(h // 6), angular.square())
             total += linear.square() + ratio * ratio * angular.square()
         return math.sqrt(total)
 
     def inside(self, i, value):
-        ends = Ends(self.ends[0], self.desk.q.shape[0])
+        ends = self.ends_of(0)
         return min(max(value, ends.lower(i)), ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
         """Return the move of coordinate i alone that minimises the linearised error of all tips."""
         self.jacobian(look)
         self.stack(look)
-        top, size = 0.0, 0.0
-        for k in range(self.desk.y.shape[0]):
-            top += self.desk.J[i, k] * self.desk.y[k]
-            size += self.desk.J[i, k] * self.desk.J[i, k]
-        return top / size if size > least else 0.0
+        J, m = self.desk.J, self.desk.J.shape[1]
+        size = dot(J[i], J[i], m)
+        return dot(J[i], self.desk.y, m) / size if size > least else 0.0
 
     def try_out(self, q):
         self.desk.spent[0] += 1.0
@@ -181,34 +207,33 @@ class TreeProblem(NamedTuple):
         self.try_out(self.desk.q)
 
     def head_for(self, T):
-        n = self.desk.q.shape[0]
         for f in range(self.tasks.shape[0]):
-            other = int(self.tasks[f, WHAT.other])
+            other = self.other_of(f)
             if other >= 0:
-                link_to(T[f], Ends(self.ends[f], n), Ends(self.ends[other], n), self.links[f])
+                link_to(T[f], self.ends_of(f), self.ends_of(other), self.links[f])
             else:
-                aim(Ends(self.ends[f], n), T[f], self.goals[f])
+                aim(self.ends_of(f), T[f], self.goals[f])
                 put3(self.goals[f], 12, at3(self.goals[f], 9))
 
     def plain(self):
         result = True
         for f in range(self.tasks.shape[0]):
-            result = result and int(self.tasks[f, WHAT.kind]) < PART and self.tasks[f, WHAT.other] < 0.0
+            result = result and self.kind_of(f) < PART and self.tasks[f, WHAT.other] < 0.0
         return result
 
     def base_axes(self, y, out):
         for f in range(self.tasks.shape[0]):
-            to_base(Ends(self.ends[f], self.desk.q.shape[0]), self.tasks[f], y[6 * f :], out[6 * f :])
+            to_base(self.ends_of(f), self.tasks[f], y[6 * f :], out[6 * f :])
 
     def moving(self, V, out):
         for f in range(self.tasks.shape[0]):
-            ends = Ends(self.ends[f], self.desk.q.shape[0])
-            other = int(self.tasks[f, WHAT.other])
+            ends = self.ends_of(f)
+            other = self.other_of(f)
             if other >= 0:  # A target relative to another tip has its motion given in that tip's axes.
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
                 u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
-                u, v = counted_goal(int(self.tasks[f, WHAT.kind]), self.kept[f], u, v)
+                u, v = counted_goal(self.kind_of(f), self.kept[f], u, v)
                 put3(out, 6 * f, u)
                 put3(out, 6 * f + 3, v)
             else:
@@ -219,11 +244,10 @@ class TreeProblem(NamedTuple):
             turn_axis(self.tasks[f], self.kept[f], out[f])
 
     def bending(self, look, x, y, out):
-        cut = self.cut
         for f in range(self.tasks.shape[0]):
-            rows, joints, tip = self.rows[cut[f] : cut[f + 1]], self.joints[6 * cut[f] :], at3(self.poses[f], 9)
-            jacobian_rate(rows, joints, self.desk.J, 6 * f, tip, x, y, out[6 * f :])
-            kind = int(self.tasks[f, WHAT.kind])
+            tip = at3(self.poses[f], 9)
+            jacobian_rate(self.rows_of(f), self.joints_of(f), self.desk.J, 6 * f, tip, x, y, out[6 * f :])
+            kind = self.kind_of(f)
             if kind == FREE:
                 put3(out, 6 * f, V3(0.0, 0.0, 0.0))
             if kind != POSE:
@@ -236,7 +260,7 @@ class TreeProblem(NamedTuple):
         begin_each_tip(self, table, k, q)
 
     def arrived(self, f):
-        return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED
+        return self.kind_of(f) != FREE and self.tips[f, 1] < ARRIVED
 
     def draw(self, table, k, q):
         draw_some(self, table, k, q)
@@ -248,9 +272,7 @@ class TreeProblem(NamedTuple):
         return at3(self.desk.e, 3 * g).square()
 
     def allowed(self, g):
-        f = g // 2
-        ends = Ends(self.ends[f], self.desk.q.shape[0])
-        tp, tr = tolerances(self.orders, int(self.tasks[f, WHAT.kind]), ends.scale())
+        tp, tr = self.tolerances_of(g // 2)
         return tp if g % 2 == 0 else tr
 
     def exact(self, excess, level):
@@ -263,17 +285,17 @@ class TreeProblem(NamedTuple):
         return worst
 
     def tilt(self, g):
-        whole = int(self.tasks[g // 2, WHAT.kind]) == POSE and g % 2 == 1
+        whole = self.kind_of(g // 2) == POSE and g % 2 == 1
         angle = math.sqrt(at3(self.desk.y, 3 * g).square()) if whole else 0.0
         return math.sin(angle) / angle if angle > 0.0 else 1.0
 
     def curvature(self, c, least, H):
         s = self.desk
         for f in range(self.tasks.shape[0]):
-            joints = self.joints[6 * self.cut[f] :]
-            rows = self.rows[self.cut[f] : self.cut[f + 1]]
-            if self.tasks[f, WHAT.other] < 0.0:
-                state = TipState(rows, joints, self.tasks[f], self.kept[f], self.goals[f], self.poses[f])
+            if self.other_of(f) < 0:
+                state = TipState(
+                    self.rows_of(f), self.joints_of(f), self.tasks[f], self.kept[f], self.goals[f], self.poses[f]
+                )
                 add_curvature(state, s.J, 6 * f, s.y, c, least[2 * f :], H)
             else:  # Of a target that moves with another tip only the products of first derivatives are taken.
                 for part in range(2):
@@ -281,21 +303,21 @@ class TreeProblem(NamedTuple):
                         add_products(s.J, 6 * f + 3 * part, s.y, 0.0, H)
 
     def bounds_of_step(self):
-        return Ends(self.ends[0], self.desk.q.shape[0])
+        return self.ends_of(0)
 
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
             # A tip without a target has its start as goal, but its distance from there does not count as an error.
-            free = int(self.tasks[f, WHAT.kind]) == FREE
+            free = self.kind_of(f) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 
     def left_at(self, place, f):
         """Return the position error [m] and rotation error [rad] of tip f stored at index `place`."""
         errors = self.desk.errors
-        position = math.sqrt(errors[place, f, 0]) * Ends(self.ends[f], self.desk.q.shape[0]).scale()
-        return position, angle_left(int(self.tasks[f, WHAT.kind]), errors[place, f, 1])
+        position = math.sqrt(errors[place, f, 0]) * self.ends_of(f).scale()
+        return position, angle_left(self.kind_of(f), errors[place, f, 1])
 
     def left(self, place):
         return left_of_all(self, place)
@@ -310,19 +332,14 @@ def aim_tips(p, T, orders):
     """Take a target for each tip; return the largest length by which a target is out of reach, or -1 if one is not a pose."""
     worst = 0.0
     for f in range(p.tasks.shape[0]):
-        other = int(p.tasks[f, WHAT.other])
+        other = p.other_of(f)
         if other >= 0:  # A target that moves with another tip cannot be proven out of reach.
             if not rigid(T[f], ORTHONORMAL):
                 return -1.0
-            link_to(
-                T[f],
-                Ends(p.ends[f], p.desk.q.shape[0]),
-                Ends(p.ends[other], p.desk.q.shape[0]),
-                p.links[f],
-            )
+            link_to(T[f], p.ends_of(f), p.ends_of(other), p.links[f])
             excess = 0.0
         else:
-            excess = take(T[f], Ends(p.ends[f], p.desk.q.shape[0]), p.tasks[f], p.goals[f], orders)
+            excess = take(T[f], p.ends_of(f), p.tasks[f], p.goals[f], orders)
         if excess < 0.0:
             return -1.0
         p.tips[f, 0] = excess
@@ -345,7 +362,7 @@ def report_tips(p, place, row):
     """Write the errors of each tip, stored at index `place`, to the end of a row of results, as a `Miss` each."""
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
-        excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
+        excess = p.tips[f, 0] * p.ends_of(f).scale()
         write(row, row.shape[0] - MISS * (p.tasks.shape[0] - f), Miss(position, rotation, excess))
 
 
@@ -366,8 +383,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
-        trig[i] = 0.0
+    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return TreeProblem(

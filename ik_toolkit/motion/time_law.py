@@ -71,6 +71,16 @@ def times_of(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
         return np.append(0.0, np.cumsum(2.0 * np.diff(s) / (rate[1:] + rate[:-1])))
 
 
+def evenly(count: int, most: int) -> np.ndarray:
+    """Return the indices of at most `most` of `count` samples, at even distances, the first and the last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+
+
+def resampled(s: np.ndarray, known: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    """Return a joint path Q (K, n), given at `known` (K,), at the places s (M,) by linear interpolation."""
+    return np.stack([np.interp(s, known, one) for one in Q.T], axis=1)
+
+
 def coordinate_at(
     t: np.ndarray, times: np.ndarray, s: np.ndarray, rate: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

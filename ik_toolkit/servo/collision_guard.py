@@ -12,21 +12,32 @@ import numpy as np
 
 from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
-from .viability import bending
+from .viability import LIMIT, bending
 
 ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
-KEEP = 0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
-INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
-# [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
-SPEED = 1.0
-FLAT = 1e-9  # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
-SHARE = 0.1  # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
-NEAREST = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
-# Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
-LOOKS = 12
-# shares of a step that are tried if the arm is at rest and the whole step is not allowed
-PARTS = (1 / 4, 1 / 16, 1 / 64)
+
+
+class Guarding(NamedTuple):
+    """How the arm is slowed near obstacles, and how much is done to prove a step free of contact."""
+
+    # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
+    keep: float = 0.005
+    influence: float = 0.1  # [m] distance between two bodies below which their inequality applies
+    # [m/s] approach speed allowed at the distance `influence`; it falls linearly to 0 at `keep`, with a time constant of 0.1 s
+    speed: float = 1.0
+    # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
+    flat: float = 1e-9
+    # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
+    share: float = 0.1
+    nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
+    # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
+    looks: int = 12
+    # shares of a step that are tried if the arm is at rest and the whole step is not allowed
+    parts: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64)
+
+
+GUARD = Guarding()
 
 
 class Path(NamedTuple):
@@ -46,7 +57,7 @@ class Path(NamedTuple):
     aside: np.ndarray
 
 
-def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
+def stopping_distances(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
     """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
 
     a: deceleration; late [s]: longest step; gamma: weight of the new rate in a step. This is `viability.stopping` for arrays.
@@ -87,9 +98,9 @@ class Guard:
         """Read the obstacles and the margins of the collision model as they are now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
-        # Two parts of a robot may be closer than KEEP at home; then half of their distance there is kept.
+        # Two parts of a robot may be closer than GUARD.keep at home; then half of their distance there is kept.
         home = space.home - space.margins
-        self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
+        self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, GUARD.keep), GUARD.keep)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes for pickling, but of the distance measurements only the nearest points."""
@@ -117,7 +128,7 @@ class Guard:
         along(*way, 0.0, still.copy(), np.empty_like(still))
         levers, _ = space.levers(path.length[-1])
         space.free_until(ks, np.ones(len(ks)), levers, *way, 0.0)
-        rules = self.limits[3], 1.0, 1.0, SHARE, FLAT
+        rules = self.limits[LIMIT.acceleration], 1.0, 1.0, GUARD.share, GUARD.flat
         space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
@@ -148,7 +159,7 @@ class Guard:
         self.pairs = []
         if self._version != self.model.version:  # something was added, moved or removed
             self.restart(q)
-        reach = INFLUENCE + self._stop
+        reach = GUARD.influence + self._stop
         ks = np.flatnonzero(self._low < reach)
         if not len(ks):
             return 0
@@ -164,7 +175,13 @@ class Guard:
             return 0
         ks, points, distances = space.facing(ks, self._low[ks] + space.margins[ks])
         gap = distances - space.margins[ks] - self._keep[ks]
-        rules = self.limits[3], SPEED / (INFLUENCE - KEEP), h, SHARE, FLAT
+        rules = (
+            self.limits[LIMIT.acceleration],
+            GUARD.speed / (GUARD.influence - GUARD.keep),
+            h,
+            GUARD.share,
+            GUARD.flat,
+        )
         count = space.rows(ks, points, gap, rate, *rules, self.A, self.b, self._order)
         self.pairs = [space.name(k) for k in ks[self._order[:count]].tolist()]
         return count
@@ -191,7 +208,7 @@ class Guard:
         still for ever.
         """
         blocked = self.blocked
-        for part in PARTS if not rate.any() else ():
+        for part in GUARD.parts if not rate.any() else ():
             small = part * rate1
             q1 = q + h * self.gamma * small
             if self._take(np.array([q, q1]), np.array([rate, small]), h):
@@ -222,7 +239,7 @@ class Guard:
     @property
     def _most(self) -> np.ndarray:
         """Largest change (n,) of joint rates per second that keeps the acceleration limits within a step."""
-        return self.limits[3] / bending(self.gamma)
+        return self.limits[LIMIT.acceleration] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
         """Lower the bounds on all distances, after the joints have moved by `way` (n,) along the proven path."""
@@ -272,16 +289,16 @@ class Guard:
         position limit is nearer than that brakes on its own.
         """
         q, rate = Q[-1], R[-1]
-        lower, upper = self.limits[:2]
+        lower, upper = self.limits[[LIMIT.lowest, LIMIT.highest]]
         speed, most, late = np.abs(rate), self._most, max(self.late, h)
         with np.errstate(divide="ignore", invalid="ignore"):
             even = np.where(speed > 0.0, most / speed, np.inf).min()
             if even <= 0.0:
                 return None
             room = np.where(rate > 0.0, upper - q, q - lower)
-            time = stopping(1.0, self.gamma, even, late)
+            time = stopping_distances(1.0, self.gamma, even, late)
             alone = (speed > 0.0) & (speed * time > room)
-            aside = np.where(alone, stopping(speed, self.gamma, most, late), 0.0)
+            aside = np.where(alone, stopping_distances(speed, self.gamma, most, late), 0.0)
             move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move
@@ -317,8 +334,8 @@ class Guard:
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)
         aside = levers[ks] @ path.aside[space.coordinates]
         distances = self._low[ks] - aside
-        nearest = np.clip(0.5 * distances, CONTACT, NEAREST)
-        for _ in range(LOOKS):
+        nearest = np.clip(0.5 * distances, CONTACT, GUARD.nearest)
+        for _ in range(GUARD.looks):
             if (distances <= nearest).any():
                 break
             free = space.free_until(ks, distances - CONTACT, levers, *way, u)

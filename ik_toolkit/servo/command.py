@@ -9,9 +9,11 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.jit import INLINE, inline, inner
+from ..kernel.limits import LIMIT
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
+from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .constrained_step import Allowed
 from .laws import (
     AA,
@@ -34,9 +36,9 @@ from .laws import (
     invert,
     prepare,
 )  # fmt: skip
-from .null_space_motion import away_from_limits, clip_wish, into_null_space, weigh
-from .singular_directions import bend, judge_modes, remember
-from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, mode_part, modes, take_out
+from .null_space_motion import away_from_limits, bend, clip_wish, into_null_space, weigh
+from .singular_directions import judge_modes, remember
+from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -83,22 +85,20 @@ def find_wishes(law, s, limits, wish, base):
     null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
     """
     n, m = s.J.shape
-    some = False
     if law.mode == CLIP:
         return False
+    posture, gain, velocity = wish[0], wish[1], wish[2]
     for i in range(n):
-        s.g[i] = wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
+        s.g[i] = gain[i] * (posture[i] - s.at[i]) + velocity[i]
     if law.avoid > 0.0:
         away_from_limits(s.at, limits, law.avoid, s.g)
-    for i in range(n):
-        some = some or s.g[i] != 0.0
-    if some:
-        into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
-        along_lost(s.V, s.lost, s.xk, s.g, 0.0)
-        down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
-        clip_wish(s.g, base, s.floor, s.roof)
-        return True
-    return False
+    if not any_of(s.g):
+        return False
+    into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
+    along_lost(s.V, s.lost, s.xk, s.g, 0.0)
+    down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
+    clip_wish(s.g, base, s.floor, s.roof)
+    return True
 
 
 @inline
@@ -116,11 +116,9 @@ def lean_over(law, rule, s, limits, wish, rate, h):
     if law.mode != CLIP:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
         if find_wishes(law, s, limits, wish, rate):
-            for i in range(rate.shape[0]):
-                s.at[i] += h * s.g[i]
+            add_multiple(s.at, h, s.g, rate.shape[0])
             return True
-    for i in range(rate.shape[0]):
-        s.g[i] = 0.0
+    clear(s.g)
     return False
 
 
@@ -133,22 +131,18 @@ def add_wishes(law, s, given, ratio, h, memory):
     desired speed. ratio: this step's h over that of the last step.
     """
     if find_wishes(law, s, given.limits, given.wish, s.x):
-        kept, share = 0.0, 1.0
+        n, kept, share = s.g.shape[0], 0.0, 1.0
         if law.code >= CA:
-            size = 0.0
-            for i in range(s.g.shape[0]):
-                size += s.g[i] * s.g[i]
+            size = math.sqrt(dot(s.g, s.g, n))
             # The method itself already damps the null-space velocity at the rate law.null.
             rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)
-            share = min(h * rate, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
-            for i in range(s.g.shape[0]):
-                s.g[i] -= (1.0 - law.null / rate) * s.null[i]
+            share = min(h * rate, 1.0) * size / (size + LITTLE)
+            add_multiple(s.g, law.null / rate - 1.0, s.null, n)
         if law.code == CV or law.code == CA:
             kept = share / h if law.code == CA else share
             share *= 1.0 + 0.5 * ratio
-        for i in range(s.x.shape[0]):
-            s.x[i] += share * s.g[i]
-            memory[i] += kept * s.g[i]
+        add_multiple(s.x, share, s.g, n)
+        add_multiple(memory, kept, s.g, n)
 
 
 @inline
@@ -163,16 +157,15 @@ def feed_back(law, s, limits, now, heavy, beyond):
         hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
     limited = law.mode != CLIP and law.code >= CA
     for i in range(n):
-        limited = limited or limits[3, i] < np.inf
+        limited = limited or limits[LIMIT.acceleration, i] < np.inf
     if not limited:
         return False
     # The error along directions removed from the task is left out, because no other direction can close it.
-    size, gone = 0.0, 0.0
+    size, gone = dot(s.e, s.e, m), 0.0
     for k in range(m):
-        size += s.e[k] * s.e[k]
         if s.lost[k] > 0.0:
-            gone += mode_part(s.U, k, s.e) ** 2
-    curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
+            gone += dot(s.U[k], s.e, m) ** 2
+    curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > WEAK.close * WEAK.close else 0.0
     fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
     allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != CLIP else -1)
     return ease(law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
@@ -204,10 +197,13 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        begin_anew(given.counts[1], own.basis)
+        if any_of(
+            given.counts[1]
+        ):  # When an error with slack leaves the task, its axis must be a direction of its own.
+            clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
-    for k in range(m):
-        s.lost[k], s.pull[k] = 0.0, 0.0
+    clear(s.lost)
+    clear(s.pull)
     if weak:
         beyond = judge_modes(law, task, look, s, limits, h, own, heavy)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -245,10 +241,7 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     Returns 0, because no directions are removed from the task.
     """
     d = task.desk
-    leaned = False
-    for i in range(s.g.shape[0]):
-        leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # Otherwise the Jacobian computed at the start of the step is still valid.
+    if any_of(s.g) or not task.plain():  # Otherwise the Jacobian computed at the start of the step is still valid.
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)

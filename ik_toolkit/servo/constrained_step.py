@@ -16,7 +16,8 @@ import numpy as np
 
 from ..compile.jit import build, compiled, inline, inner, spliced
 from ..kernel.records import Array, copy
-from .equality_qp import dot, problem_on, problem_space, resized, square
+from ..kernel.vectors import dot
+from .equality_qp import program_on, program_space, resized
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, DIRECT = range(2)  # modes, explained above: least error now, or the tip falls behind but keeps its direction
@@ -65,13 +66,13 @@ class StepTaken(NamedTuple):
 @inline
 def room_space(n, m, rows):
     """Return the number of floats that `room_on` needs for n joints, m task rows and `rows` inequalities."""
-    return problem_space(n + m + 1, rows + m + 1)
+    return program_space(n + m + 1, rows + m + 1)
 
 
 @spliced
 def room_on(block, n, m, rows):
     """Divide an array of zeros into the arrays of a `TwoLevels` problem for n joints, m task rows and `rows` inequalities."""
-    return problem_on(block, n + m + 1, rows + m + 1)
+    return program_on(block, n + m + 1, rows + m + 1)
 
 
 @build
@@ -84,16 +85,17 @@ def make_room(n, m, rows):
 def fitting(asked, allowed):
     """Return whether the desired rates keep all bounds and constraints and fulfil the task, so that no optimisation is needed."""
     J, want = asked.J, asked.want
-    for i in range(want.shape[0]):
+    n, m = J.shape
+    for i in range(n):
         if not allowed.floor[i] <= want[i] <= allowed.roof[i]:
             return False
     for k in range(allowed.rows):
-        if not dot(allowed.planes, k, want, want.shape[0]) <= allowed.edges[k]:
+        if not dot(allowed.planes[k], want, n) <= allowed.edges[k]:
             return False
     miss, size = 0.0, 0.0
-    for k in range(J.shape[1]):
+    for k in range(m):
         s = -asked.ask[k]
-        for i in range(J.shape[0]):
+        for i in range(n):
             s += J[i, k] * want[i]
         miss += (asked.weight[k] * s) ** 2
         size += (asked.weight[k] * asked.ask[k]) ** 2
@@ -101,31 +103,35 @@ def fitting(asked, allowed):
 
 
 @inline
-def lay_out(asked, allowed, loose, fastest, room):
-    """Write the quadratic program to `room`; return the number of task rows, without rows that no joint can change.
+def lay_out(room, asked, allowed, loose, fastest):
+    """Write the quadratic program to the memory `room`, and return it, without task rows that no joint can change.
 
     The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. loose: amount by which
-    inequalities are loosened; room: memory for the program.
+    inequalities are loosened.
     """
-    u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
+    J, unit, P, count, n = asked.J, room.scaling, room.P, allowed.rows, asked.J.shape[0]
     for i in range(n):
-        size = fastest if fastest > 0.0 else asked.size[i]
-        u.want[i], u.floor[i], u.roof[i] = asked.want[i] / size, allowed.floor[i] / size, allowed.roof[i] / size
+        unit[i] = fastest if fastest > 0.0 else asked.size[i]
+        room.want[i], room.floor[i], room.roof[i] = (
+            asked.want[i] / unit[i],
+            allowed.floor[i] / unit[i],
+            allowed.roof[i] / unit[i],
+        )
     for k in range(count):
         for i in range(n):
-            r.P[k, i] = allowed.planes[k, i] * (fastest if fastest > 0.0 else asked.size[i])
-        length = math.sqrt(square(r.P, k, n))
-        r.rhs[k] = allowed.edges[k] / length + loose if length > 0.0 else max(allowed.edges[k], 0.0)
+            P[k, i] = allowed.planes[k, i] * unit[i]
+        length = math.sqrt(dot(P[k], P[k], n))
+        room.rhs[k] = allowed.edges[k] / length + loose if length > 0.0 else max(allowed.edges[k], 0.0)
         for i in range(n):
-            r.P[k, i] = r.P[k, i] / length if length > 0.0 else 0.0
+            P[k, i] = P[k, i] / length if length > 0.0 else 0.0
     k = count
     for c in range(J.shape[1]):
         for i in range(n):
-            r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
-        r.rhs[k] = asked.weight[c] * asked.ask[c]
-        if square(r.P, k, n) > 0.0:  # A row that no joint can change cannot be met, so it is overwritten.
+            P[k, i] = asked.weight[c] * J[i, c] * unit[i]
+        room.rhs[k] = asked.weight[c] * asked.ask[c]
+        if dot(P[k], P[k], n) > 0.0:  # A row that no joint can change cannot be met, so it is overwritten.
             k += 1
-    return k - count
+    return resized(room, n, count, k - count)
 
 
 @inline
@@ -143,7 +149,7 @@ def share_allowed(asked, allowed):
         if pace * abs(want[i]) > most:
             share = min(share, most / (pace * abs(want[i])))
     for k in range(allowed.rows):
-        over, most = pace * dot(allowed.planes, k, want, want.shape[0]), max(allowed.edges[k], 0.0)
+        over, most = pace * dot(allowed.planes[k], want, want.shape[0]), max(allowed.edges[k], 0.0)
         if over > most:
             share = min(share, most / over)
     return share
@@ -157,34 +163,34 @@ def keep_straight(p, share):
     Without this weight the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With
     acceleration limits the weight is lower, as they block most of the motion asked for while joints start and brake.
     """
-    r, asked = p.r, 0.0
-    for k in range(p.planes, p.planes + p.task):
-        asked += r.rhs[k] * r.rhs[k]
+    asked, first, end = 0.0, p.planes, p.planes + p.task
+    for k in range(first, end):
+        asked += p.rhs[k] * p.rhs[k]
     weight = 1.0 + (STRAIGHT - 1.0) * share
     for i in range(p.size if asked > 0.0 else 0):
         s = 0.0
-        for k in range(p.planes, p.planes + p.task):
-            s += r.rhs[k] * r.P[k, i]
+        for k in range(first, end):
+            s += p.rhs[k] * p.P[k, i]
         s *= (weight - 1.0) / asked
-        for k in range(p.planes, p.planes + p.task):
-            r.P[k, i] = weight * r.P[k, i] - s * r.rhs[k]
+        for k in range(first, end):
+            p.P[k, i] = weight * p.P[k, i] - s * p.rhs[k]
 
 
 @inline
-def damp(p, aside, fastest, mu):
+def damp(p, aside, mu):
     """Extend the problem to min |C y - d|^2 + mu |y - aside|^2 (Levenberg-Marquardt), and return it.
 
     The residual of each task row becomes an unknown, scaled by 1 / sqrt(mu). The task can then always be met, and both
     terms are part of the second objective.
     """
-    u, r, n, unit = p.u, p.r, p.size, math.sqrt(mu)
+    n, unit = p.size, math.sqrt(mu)
     for i in range(n):
-        u.want[i] = aside[i] / fastest
+        p.want[i] = aside[i] / p.scaling[i]
     for k in range(p.planes + p.task):
         for j in range(p.task):
-            r.P[k, n + j] = unit if k == p.planes + j else 0.0
+            p.P[k, n + j] = unit if k == p.planes + j else 0.0
     for j in range(n, n + p.task):
-        u.held[j], u.want[j], u.floor[j], u.roof[j] = 0, 0.0, -np.inf, np.inf
+        p.active[p.planes + j], p.want[j], p.floor[j], p.roof[j] = 0, 0.0, -np.inf, np.inf
     return resized(p, n + p.task, p.planes, p.task)
 
 
@@ -194,17 +200,18 @@ def least_slack(p):
 
     This amount becomes unknown number n, and minimising it is the only task.
     """
-    u, r, n = p.u, p.r, p.size
+    n = p.size
     for i in range(n):
-        u.want[i] = min(max(u.want[i], u.floor[i]), u.roof[i])
-        r.P[p.planes, i], u.held[i] = 0.0, 0
+        p.want[i] = min(max(p.want[i], p.floor[i]), p.roof[i])
+        p.P[p.planes, i] = 0.0
     for k in range(p.planes):
-        r.P[k, n] = -1.0 if square(r.P, k, n) > 0.0 else 0.0
-        r.holds[k] = 0
-    r.P[p.planes, n], r.rhs[p.planes] = 1.0, 0.0
-    u.want[n], u.floor[n], u.roof[n], u.held[n] = 0.0, 0.0, np.inf, 0
+        p.P[k, n] = -1.0 if dot(p.P[k], p.P[k], n) > 0.0 else 0.0
+    p.P[p.planes, n], p.rhs[p.planes] = 1.0, 0.0
+    p.want[n], p.floor[n], p.roof[n] = 0.0, 0.0, np.inf
+    for c in range(p.planes + n + 1):
+        p.active[c] = 0
     solve_levels(resized(p, n + 1, p.planes, 1))
-    return u.y[n] * (1.0 + LOOSE) + LOOSE
+    return p.y[n] * (1.0 + LOOSE) + LOOSE
 
 
 @inline
@@ -220,25 +227,23 @@ def as_wanted(asked, taken):
 @inline
 def recall(room, rows, taken):
     """Warm-start the solver: copy the active set of the last step from `taken` to `room`."""
-    for i in range(taken.active.shape[0]):
-        room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
     for k in range(rows):
-        room.r.holds[k] = taken.kept[k]
+        room.active[k] = taken.kept[k]
+    for i in range(taken.active.shape[0]):
+        room.active[rows + i] = taken.active[i] if taken.active[i] < 2 else 0
 
 
 @inline
-def answer(p, asked, allowed, fastest, taken):
+def answer(p, allowed, taken):
     """Write the joint rates found and the active set to `taken` (StepTaken), in the caller's units."""
-    u, r = p.u, p.r
     for i in range(taken.x.shape[0]):
-        size = fastest if fastest > 0.0 else asked.size[i]
-        taken.active[i] = u.held[i]
-        if u.held[i] == 0:
-            taken.x[i] = min(max(u.y[i] * size, allowed.floor[i]), allowed.roof[i])
-        else:
-            taken.x[i] = allowed.roof[i] if u.held[i] > 0 else allowed.floor[i]
+        side = p.active[p.planes + i]
+        taken.active[i] = side
+        taken.x[i] = min(max(p.y[i] * p.scaling[i], allowed.floor[i]), allowed.roof[i])
+        if side != 0:
+            taken.x[i] = allowed.roof[i] if side > 0 else allowed.floor[i]
     for k in range(taken.kept.shape[0]):
-        taken.kept[k] = r.holds[k] if k < p.planes else 0
+        taken.kept[k] = p.active[k] if k < p.planes else 0
         for i in range(taken.x.shape[0]):
             if taken.kept[k] != 0 and taken.active[i] == 0 and allowed.planes[k, i] != 0.0:
                 taken.active[i] = 2
@@ -252,8 +257,8 @@ def damping(p, asked):
     reach, for slow joints as for fast ones. CAUTIOUS adds a margin of 3/2 because full steps zigzag.
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
-    for k in range(p.planes, p.planes + p.task):
-        miss += p.r.new.first[k] ** 2
+    for c in range(p.task):
+        miss += p.new.first[p.planes + p.size + c] ** 2
     for k in range(asked.weight.shape[0]):
         heavy = max(heavy, asked.weight[k])
     for i in range(asked.size.shape[0]):
@@ -274,18 +279,18 @@ def constrain(asked, allowed, room, taken):
     if fitting(asked, allowed):
         as_wanted(asked, taken)
         return WANTED
-    n, mu, loose, fastest, short = asked.J.shape[0], asked.mu, 0.0, 0.0, asked.mu > 0.0
+    mu, loose, fastest, short = asked.mu, 0.0, 0.0, asked.mu > 0.0
     share = share_allowed(asked, allowed) if asked.mode == DIRECT and mu == 0.0 else 0.0
     recall(room, allowed.rows, taken)
     while True:
-        p = resized(room, n, allowed.rows, lay_out(asked, allowed, loose, fastest, room))
+        p = lay_out(room, asked, allowed, loose, fastest)
         if share > 0.0:
             keep_straight(p, share)
         if mu > 0.0:
-            p = damp(p, asked.aside, fastest if fastest > 0.0 else 1.0, mu)
+            p = damp(p, asked.aside, mu)
         end = solve_levels(p)
         if end == CONTRADICTION and loose == 0.0:
-            loose = least_slack(resized(p, n, allowed.rows, 1))
+            loose = least_slack(resized(p, asked.J.shape[0], allowed.rows, 1))
             continue
         if end != DONE or mu > 0.0:
             break
@@ -293,5 +298,5 @@ def constrain(asked, allowed, room, taken):
         if not short or asked.h == 0.0:
             break
         mu, fastest = damping(p, asked)
-    answer(p, asked, allowed, fastest, taken)
+    answer(p, allowed, taken)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else SHORT if short else MET

@@ -14,40 +14,55 @@ error falls.
 """
 
 import math
+from typing import NamedTuple
 
-from ..compile.jit import inner
-from ..kernel.linalg import cholesky, row_product
+from ..compile.jit import compiled, inner
+from ..kernel.linalg import cholesky
 from ..kernel.null_space import is_wide
+from ..kernel.records import copy
+from ..kernel.vectors import clear, dot
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
-from .singular_directions import GAIN
-from .viability import POSITION, ROW, approach, box_of, narrow
+from .singular_step import WEAK
+from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
-SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
-STALLED = 0.1  # [s] without progress after which an arm counts as stuck
-# An arm makes progress if within STALLED [s] the weighted error falls by PROGRESS, or by what it would fall at PACE times the rate
-# that full joint speed allows, whichever is less.
-PROGRESS, PACE = 1e-3, 0.1
-# Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
-IDLE = 0.01
-BACK = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-TURNS, FORGOTTEN = 2.0, 0.1  # An arm is stuck after so many joint reversals; one is forgotten after FORGOTTEN [s].
-# First, least and largest value of the share, the factor in the damping mu. Below the least value joints turn back repeatedly.
-FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors on the share: when joints turn back, when the error does not fall, and when the error falls
-TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-# When joints turn back, the share is raised, and must not fall below this fraction of its raised value for a while. That is
-# FLOOR * TURNED = 2 times the share with which the joints turned back.
-FLOOR = 0.25
-FADING = 0.3  # [s] time constant with which this lower bound on the share fades
-BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
+
+@compiled
+class DampedDescent(NamedTuple):
+    """When an arm counts as stuck, and how the share, the factor in the damping mu of its descent, is adapted."""
+
+    stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
+    small: float = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
+    stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
+    # An arm makes progress if within `stalled` the weighted error falls by `progress`, or by what it would fall at `pace` times the
+    # rate that full joint speed allows, whichever is less.
+    progress: float = 1e-3
+    pace: float = 0.1
+    # Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
+    idle: float = 0.01
+    reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
+    reversals: float = 2.0  # An arm is stuck after so many joint reversals.
+    forgotten: float = 0.1  # [s] time after which a reversal is forgotten
+    first: float = 0.5  # the share at first
+    least: float = 0.02  # the least share; below it joints turn back repeatedly
+    most: float = 16.0  # the largest share
+    turned: float = 8.0  # factor on the share when joints turn back
+    raised: float = 2.0  # factor on the share when the error does not fall
+    lowered: float = 0.9  # factor on the share while the error falls
+    # After joints have turned back, the share must not fall below this fraction of its raised value for a while: floor * turned = 2
+    # times the share with which they turned back.
+    floor: float = 0.25
+    fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
+    brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
+
+
+DESCENT = DampedDescent()
 
 
 @inner
 def feedback(law, h):
     """Return the feedback gain [1/s] of a damped least-squares step, which is at most the method's own."""
-    return min(natural(law, h), GAIN / h)
+    return min(natural(law, h), WEAK.gain / h)
 
 
 @inner
@@ -61,14 +76,16 @@ def stuck(law, s, limits, square, h, state):
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
         most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
-    if law.mode == CLIP or most > STANDS or error < SMALL:
+    if law.mode == CLIP or most > DESCENT.stands or error < DESCENT.small:
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
-        way = min(PROGRESS, PACE * STALLED * fastest(s, limits, error))
+        way = min(DESCENT.progress, DESCENT.pace * DESCENT.stalled * fastest(s, limits, error))
         if error < state[STATE.nearest] - way or state[STATE.nearest] == 0.0:
             state[STATE.stalled], state[STATE.nearest] = 0.0, error
-        if (state[STATE.stalled] > STALLED or state[STATE.turned] >= TURNS) and feedback(law, h) > 0.0:
-            state[STATE.share], state[STATE.lowest], state[STATE.stalled] = FIRST, 0.0, 0.0
+        if (state[STATE.stalled] > DESCENT.stalled or state[STATE.turned] >= DESCENT.reversals) and feedback(
+            law, h
+        ) > 0.0:
+            state[STATE.share], state[STATE.lowest], state[STATE.stalled] = DESCENT.first, 0.0, 0.0
     return state[STATE.share] > 0.0
 
 
@@ -81,7 +98,7 @@ def fastest(s, limits, error):
         for k in range(s.J.shape[1]):
             slope += s.weight[k] * s.weight[k] * s.J[i, k] * s.e[k]
         if slope != 0.0 and (s.roof[i] > 0.0 if slope > 0.0 else s.floor[i] < 0.0):
-            total += abs(slope) * limits[2, i] / error
+            total += abs(slope) * limits[LIMIT.speed, i] / error
     return total
 
 
@@ -94,19 +111,20 @@ def notice(law, before, x, size, swings, code, square, h, state):
     """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
+    reversals, since = swings[0], swings[1]
     for i in range(x.shape[0]):
         part = before[i] * x[i] / (size[i] * size[i])
         on, back, speed = on + max(part, 0.0), back - min(part, 0.0), speed + x[i] * x[i]
-        swing = swing or (swings[0, i] >= TURNS and swings[1, i] == 0.0)
+        swing = swing or (reversals[i] >= DESCENT.reversals and since[i] == 0.0)
         hindered, held = hindered or (code[i] & (POSITION | ROW)) > 0, held or code[i] > 0
-    hindered = hindered or (not held and speed < (IDLE * feedback(law, h) * error) ** 2)
-    turned = swing or back > BACK * on
+    hindered = hindered or (not held and speed < (DESCENT.idle * feedback(law, h) * error) ** 2)
+    turned = swing or back > DESCENT.reversing * on
     if state[STATE.share] == 0.0:
         state[STATE.stalled] += h if hindered else 0.0
         if turned and (hindered or held):
             state[STATE.turned] += 1.0
         else:
-            state[STATE.turned] = max(state[STATE.turned] - h / FORGOTTEN, 0.0)
+            state[STATE.turned] = max(state[STATE.turned] - h / DESCENT.forgotten, 0.0)
     else:
         adapt(turned, error, h, state)
 
@@ -115,20 +133,20 @@ def notice(law, before, x, size, swings, code, square, h, state):
 def adapt(turned, error, h, state):
     """Adapt the share, the factor in the damping mu, after a step of a damped descent; turned: whether joints turned back.
 
-    It is raised if joints turned back or the weighted error has not fallen for STALLED [s], and lowered while that error falls.
+    It is raised if joints turned back or the weighted error has not fallen for DESCENT.stalled [s], and lowered while it falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h
-    state[STATE.lowest] *= max(1.0 - h / FADING, 0.0)
+    state[STATE.lowest] *= max(1.0 - h / DESCENT.fading, 0.0)
     if turned:
-        share = min(TURNED * share, MOST)
-        state[STATE.lowest] = FLOOR * share
+        share = min(DESCENT.turned * share, DESCENT.most)
+        state[STATE.lowest] = DESCENT.floor * share
     elif error < state[STATE.nearest]:
-        share = min(share, max(LOWERED * share, state[STATE.lowest], LEAST))
+        share = min(share, max(DESCENT.lowered * share, state[STATE.lowest], DESCENT.least))
         state[STATE.nearest], state[STATE.stalled] = error, 0.0
-    elif state[STATE.stalled] > STALLED:
+    elif state[STATE.stalled] > DESCENT.stalled:
         state[STATE.lowest] = share
-        share = min(RAISED * share, MOST)
+        share = min(DESCENT.raised * share, DESCENT.most)
         state[STATE.nearest], state[STATE.stalled] = error, 0.0
     state[STATE.share] = share
 
@@ -137,38 +155,39 @@ def adapt(turned, error, h, state):
 def descend(law, s, limits, h, state):
     """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
     n, m = s.J.shape
-    heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
+    heavy, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), feedback(law, h), False
     for k in range(m):
-        size += s.e[k] * s.e[k]
         s.ask[k] = gain * s.e[k]
         # The Jacobian and the errors have been multiplied by the weights, so the weights become 1.
         s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
-    mu = state[STATE.share] * heavy * math.sqrt(size)
+    mu = state[STATE.share] * heavy * math.sqrt(dot(s.e, s.e, m))
+    clear(s.x)
+    clear(s.v)
     for i in range(n):
-        limited = limited or limits[3, i] < math.inf
-        s.x[i], s.v[i] = 0.0, 0.0
+        limited = limited or limits[LIMIT.acceleration, i] < math.inf
     if limited:
-        brake(s, limits, mu, h)
+        stop_in_time(s, limits, mu, h)
     return mu
 
 
 @inner
-def brake(s, limits, mu, h):
+def stop_in_time(s, limits, mu, h):
     """Narrow the rate bounds so that each joint can stop at the end of the move that a damped step without bounds would make.
 
     Joints at limits that would have to go beyond them are left out of this damped step.
     """
     n, m = s.J.shape
     for i in range(n):
-        slope = row_product(s.J, i, s.e)
+        slope = dot(s.J[i], s.e, m)
         stopped = s.roof[i] <= 0.0 if slope > 0.0 else s.floor[i] >= 0.0
-        for k in range(m):
-            s.V[i, k] = 0.0 if stopped else s.J[i, k]
-    wide = is_wide(s.V, m)
-    gram(s.V, m, wide, mu, s.G)
+        copy(s.J[i], s.free[i])
+        if stopped:
+            clear(s.free[i])
+    wide = is_wide(s.free, m)
+    gram(s.free, m, wide, mu, s.G)
     cholesky(s.G, m if wide else n, 0.0)
-    apply(s.V, m, s.G, s.e, s.y, s.null)
+    apply(s.free, m, s.G, s.e, s.y, s.null)
     for i in range(n):
-        if limits[3, i] < math.inf:
-            most = approach(abs(s.null[i]), 0.0, 1.0, h, BRISK * limits[3, i], h)
+        if limits[LIMIT.acceleration, i] < math.inf:
+            most = approach(abs(s.null[i]), 0.0, 1.0, h, DESCENT.brisk * limits[LIMIT.acceleration, i], h)
             narrow(i, -most, most, box_of(s))

@@ -12,6 +12,7 @@ import numpy as np
 from ..compile.array_view import LINE, cut
 from ..compile.jit import compiled, inline, spliced
 from ..kernel.records import Array
+from ..kernel.vectors import add_multiple, dot
 
 NONE = -1  # index that means "no constraint"
 SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.
@@ -24,40 +25,15 @@ ROUNDING = 1e-13  # A sum below this share of the sum of its terms' magnitudes i
 
 @compiled
 class Pair(NamedTuple):
-    """Lagrange multipliers, one part for each of the two objectives: first / eps + second in the limit eps -> 0."""
+    """Numbers with an infinite and a finite part, first / eps + second in the limit eps -> 0: one part for each objective."""
 
     first: Array
     second: Array
 
 
 @compiled
-class Unknowns(NamedTuple):
-    """Arrays (N,) with an entry for each of the N unknowns y of a quadratic program."""
-
-    y: Array  # (N,) solution y of the last equality-constrained problem
-    want: Array  # (N,) values desired by the second objective
-    floor: Array  # (N,) lower bounds
-    roof: Array  # (N,) upper bounds
-    held: Array  # (N,) int8: -1 held at the lower bound, 1 at the upper bound, 0 free
-    now: Pair  # present multipliers of the bounds, positive at upper bounds
-    new: Pair  # multipliers of the bounds from the last equality-constrained problem
-
-
-@compiled
-class Rows(NamedTuple):
-    """Arrays with an entry for each of K rows: the inequalities P y <= rhs, each of norm 1, then the task P y = rhs."""
-
-    P: Array  # (K, N) coefficients
-    rhs: Array  # (K,) right sides
-    length: Array  # (K,) norms of the rows of P
-    holds: Array  # (K,) int8: 1 if the inequality is active
-    now: Pair  # (K,) present multipliers of the inequalities
-    new: Pair  # (K,) multipliers from the last equality-constrained problem; task rows: `first` is P y - rhs
-
-
-@compiled
 class Basis(NamedTuple):
-    """Scratch: an orthonormal basis of the active rows and the task rows, restricted to the free unknowns."""
+    """Scratch: an orthonormal basis of the active inequalities and the task rows, restricted to the free unknowns."""
 
     W: Array  # (K, N) the rows after orthonormalisation
     L: Array  # (K, K) coefficients: row k is the sum over j of L[k, j] times basis vector j
@@ -72,39 +48,46 @@ class Basis(NamedTuple):
 
 @compiled
 class TwoLevels(NamedTuple):
-    """A quadratic program with two objectives (task residual, then closeness), in the first `size` unknowns.
+    """A quadratic program for `size` unknowns y with two objectives: the task P y = rhs, then closeness to `want`.
 
-    Its rows are `planes` inequalities, followed by `task` rows of the task.
+    Constraint c is the inequality P y <= rhs of row c, or for c >= planes the two bounds of unknown c - planes. The rows of the
+    task follow those of the inequalities; their multipliers come last (`slot`). The arrays have room for N unknowns and K rows.
     """
 
-    size: int
-    planes: int
-    task: int
-    u: Unknowns
-    r: Rows
+    size: int  # number of unknowns
+    planes: int  # number of inequalities
+    task: int  # number of rows of the task
+    y: Array  # (N,) solution of the last equality-constrained problem
+    want: Array  # (N,) values desired by the second objective
+    floor: Array  # (N,) lower bounds
+    roof: Array  # (N,) upper bounds
+    scaling: Array  # (N,) the joint rate that an unknown of 1 stands for, see constrained_step.py
+    P: Array  # (K, N) coefficients: the inequalities, each of norm 1, then the task
+    rhs: Array  # (K,) right sides
+    length: Array  # (K,) norms of the rows of P
+    active: Array  # (K + N,) int8, for each constraint: 0 inactive, 1 active (a bound: the upper one), -1 held at the lower bound
+    now: Pair  # (K + N,) present multipliers; a multiplier has the sign of `active`
+    new: Pair  # (K + N,) multipliers of the last equality-constrained problem; for the task's rows `first` is P y - rhs
     b: Basis
 
 
 @inline
-def problem_space(N, K):
+def program_space(N, K):
     """Return the number of floats that a problem with N unknowns and K rows needs."""
-    return 2 * K * N + 3 * K * K + 9 * N + 13 * K + 26 * LINE
+    return 2 * K * N + 3 * K * K + 10 * N + 14 * K + 26 * LINE
 
 
 @spliced
-def problem_on(block, N, K):
+def program_on(block, N, K):
     """Divide an array of zeros into the arrays of a problem with up to N unknowns and K rows."""
     P, W, L, U = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K)))
-    y, want, floor, roof, first, second, new_first, new_second = cut(block, np.float64, (N, N, N, N, N, N, N, N))
-    rhs, length, rest, remain, whole, along, off, k0, k1, k2, k3 = cut(
-        block, np.float64, (K, K, K, K, K, K, K, K, K, K, K)
-    )
-    held, holds = cut(block, np.int8, (N, K))
+    y, want, floor, roof, scaling = cut(block, np.float64, (N, N, N, N, N))
+    first, second, new_first, new_second = cut(block, np.float64, (K + N, K + N, K + N, K + N))
+    rhs, length, rest, remain, whole, along, off = cut(block, np.float64, (K, K, K, K, K, K, K))
+    (active,) = cut(block, np.int8, (K + N,))
     (order,) = cut(block, np.int64, (K,))
     return TwoLevels(
-        N, K, K,
-        Unknowns(y, want, floor, roof, held, Pair(first, second), Pair(new_first, new_second)),
-        Rows(P, rhs, length, holds, Pair(k0, k1), Pair(k2, k3)),
+        N, K, K, y, want, floor, roof, scaling, P, rhs, length, active, Pair(first, second), Pair(new_first, new_second),
         Basis(W, L, U, order, rest, remain, whole, along, off),
     )  # fmt: skip
 
@@ -112,37 +95,30 @@ def problem_on(block, N, K):
 @inline
 def resized(p, size, planes, task):
     """Return the problem with the same arrays but other numbers of unknowns, inequalities and task rows."""
-    return TwoLevels(size, planes, task, p.u, p.r, p.b)
+    return TwoLevels(
+        size, planes, task, p.y, p.want, p.floor, p.roof, p.scaling, p.P, p.rhs, p.length, p.active, p.now, p.new, p.b
+    )
 
 
 @inline
-def dot(A, i, x, n):
-    """Return the scalar product of row i of A with x, over their first n entries."""
-    s = 0.0
-    for k in range(n):
-        s += A[i, k] * x[k]
-    return s
+def is_free(p, i):
+    """Return whether unknown i is held at neither of its bounds."""
+    return p.active[p.planes + i] == 0
+
+
+@inline
+def slot(p, k):
+    """Return the index of row k among the multipliers, where the bounds stand between inequalities and task."""
+    return k if k < p.planes else k + p.size
 
 
 @inline
 def remove(b, row, j, n):
     """Subtract from a row of W (first n entries) its component along basis vector j, and add this component to L."""
-    base = b.order[j]
-    s = 0.0
-    for i in range(n):
-        s += b.W[row, i] * b.W[base, i]
-    for i in range(n):
-        b.W[row, i] -= s * b.W[base, i]
+    base = b.W[b.order[j]]
+    s = dot(b.W[row], base, n)
+    add_multiple(b.W[row], -s, base, n)
     b.L[row, j] += s
-
-
-@inline
-def square(A, k, n):
-    """Return the squared length of the first n entries of row k of A."""
-    s = 0.0
-    for i in range(n):
-        s += A[k, i] * A[k, i]
-    return s
 
 
 @inline
@@ -161,23 +137,23 @@ def row_basis(p, last):
     last: inequality that is taken after all others, or NONE. Returns the number of basis vectors from inequalities, the number of
     all basis vectors, and an active inequality that depends linearly on the others, or NONE.
     """
-    u, r, b = p.u, p.r, p.b
+    b = p.b
     n, K = p.size, p.planes + p.task
     for k in range(K):
-        if k >= p.planes or r.holds[k] != 0:
+        if k >= p.planes or p.active[k] != 0:
             for i in range(n):
-                b.W[k, i] = r.P[k, i] if u.held[i] == 0 else 0.0
+                b.W[k, i] = p.P[k, i] if is_free(p, i) else 0.0
             for j in range(K):
                 b.L[k, j] = 0.0
     q, dependent = 0, NONE
     for place in range(p.planes + 1):
         k = place if place < p.planes else last
-        if k < 0 or r.holds[k] == 0 or (place < p.planes and k == last):
+        if k < 0 or p.active[k] == 0 or (place < p.planes and k == last):
             continue
         for _ in range(2):
             for j in range(q):
                 remove(b, k, j, n)
-        size = math.sqrt(square(b.W, k, n))
+        size = math.sqrt(dot(b.W[k], b.W[k], n))
         if size <= SAME:
             dependent = k
             continue
@@ -185,11 +161,11 @@ def row_basis(p, last):
         q += 1
     planes, largest = q, 0.0
     for k in range(p.planes, K):
-        largest = max(largest, r.length[k])
-        b.whole[k] = square(b.W, k, n)
+        largest = max(largest, p.length[k])
+        b.whole[k] = dot(b.W[k], b.W[k], n)
         for j in range(planes):
             remove(b, k, j, n)
-        b.remain[k] = square(b.W, k, n)
+        b.remain[k] = dot(b.W[k], b.W[k], n)
     for _ in range(p.task):
         k = p.planes
         for c in range(p.planes + 1, K):
@@ -200,35 +176,35 @@ def row_basis(p, last):
         if b.remain[k] < CLEAR * b.whole[k]:
             for j in range(q):
                 remove(b, k, j, n)
-        take_in(b, k, q, math.sqrt(square(b.W, k, n)), n)
+        take_in(b, k, q, math.sqrt(dot(b.W[k], b.W[k], n)), n)
         b.remain[k] = -1.0
         for c in range(p.planes, K):
             if b.remain[c] >= 0.0:
                 remove(b, c, q, n)
                 b.remain[c] = max(b.remain[c] - b.L[c, q] * b.L[c, q], 0.0)
                 if b.remain[c] < DOUBTFUL * b.whole[c]:
-                    b.remain[c] = square(b.W, c, n)
+                    b.remain[c] = dot(b.W[c], b.W[c], n)
         q += 1
     return planes, q, dependent
 
 
 @inline
 def back(p, first, end, out, sign, lower):
-    """Solve L' out = -sign off for the multipliers out (K,) of the rows from which basis vectors first to end - 1 were made.
+    """Solve L' out = -sign off for the multipliers of the rows from which basis vectors first to end - 1 were made.
 
-    sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower: whether `out` already holds the
-    multipliers of the task rows; their contribution is then subtracted.
+    out (K + N,): receives them. sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower:
+    whether `out` already holds the multipliers of the task rows; their contribution is then subtracted.
     """
     b = p.b
     for j in range(end - 1, first - 1, -1):
         k = b.order[j]
         s = -b.off[j] if sign > 0.0 else 0.0
         for h in range(j + 1, end):
-            s -= b.L[b.order[h], j] * out[b.order[h]]
+            s -= b.L[b.order[h], j] * out[slot(p, b.order[h])]
         if lower:
             for c in range(p.planes, p.planes + p.task):
-                s -= b.L[c, j] * out[c]
-        out[k] = s / b.L[k, j]
+                s -= b.L[c, j] * out[slot(p, c)]
+        out[slot(p, k)] = s / b.L[k, j]
 
 
 @inline
@@ -238,42 +214,40 @@ def equality(p, last):
     Returns NONE, or, without solving anything, an active inequality that depends linearly on the others (`last` if it does). The
     inequality `last` is added to the basis after all other inequalities.
     """
-    u, r, b = p.u, p.r, p.b
+    b = p.b
     n, K = p.size, p.planes + p.task
-    for k in range(K):
-        r.new.first[k], r.new.second[k] = 0.0, 0.0
+    for c in range(K + n):
+        p.new.first[c], p.new.second[c] = 0.0, 0.0
     for i in range(n):
-        u.y[i] = u.floor[i] if u.held[i] < 0 else u.roof[i] if u.held[i] > 0 else 0.0
+        side = p.active[p.planes + i]
+        p.y[i] = p.floor[i] if side < 0 else p.roof[i] if side > 0 else 0.0
     planes, q, dependent = row_basis(p, last)
     if dependent != NONE:
         return dependent
     for k in range(K):
-        b.rest[k] = r.rhs[k] - dot(r.P, k, u.y, n)
+        b.rest[k] = p.rhs[k] - dot(p.P[k], p.y, n)
     full = q - planes == p.task
     for j in range(q if full else planes):
         k = b.order[j]
-        s = b.rest[k]
-        for h in range(j):
-            s -= b.L[k, h] * b.along[h]
-        b.along[j] = s / b.L[k, j]
+        b.along[j] = (b.rest[k] - dot(b.L[k], b.along, j)) / b.L[k, j]
     if not full:
         least_squares(p, planes, q - planes)
     for j in range(q):
-        b.off[j] = b.along[j] - dot(b.W, b.order[j], u.want, n)
+        b.off[j] = b.along[j] - dot(b.W[b.order[j]], p.want, n)
     for i in range(n):
-        if u.held[i] == 0:
-            s = u.want[i]
+        if is_free(p, i):
+            s = p.want[i]
             for j in range(q):
                 s += b.off[j] * b.W[b.order[j], i]
-            u.y[i] = s
+            p.y[i] = s
     noise = 0.0
     if full:
-        back(p, planes, q, r.new.second, 1.0, False)
+        back(p, planes, q, p.new.second, 1.0, False)
     else:
         closeness_of_task(p, planes, q - planes)
         noise = residual(p)
-        back(p, 0, planes, r.new.first, 0.0, True)
-    back(p, 0, planes, r.new.second, 1.0, True)
+        back(p, 0, planes, p.new.first, 0.0, True)
+    back(p, 0, planes, p.new.second, 1.0, True)
     price_bounds(p, noise)
     return NONE
 
@@ -281,23 +255,20 @@ def equality(p, last):
 @inline
 def price_bounds(p, noise):
     """Compute the multipliers of the active bounds; multipliers of the first objective up to `noise` in size become 0."""
-    u, r = p.u, p.r
+    first, second = p.new.first[p.planes :], p.new.second[p.planes :]
     for i in range(p.size):
-        u.new.first[i], u.new.second[i] = 0.0, u.want[i] - u.y[i]
+        first[i], second[i] = 0.0, p.want[i] - p.y[i]
     for k in range(p.planes + p.task):
-        one, two = r.new.first[k], r.new.second[k]
+        one, two = p.new.first[slot(p, k)], p.new.second[slot(p, k)]
         if one != 0.0 or two != 0.0:
-            for i in range(p.size):
-                u.new.first[i] -= r.P[k, i] * one
-                u.new.second[i] -= r.P[k, i] * two
+            add_multiple(first, -one, p.P[k], p.size)
+            add_multiple(second, -two, p.P[k], p.size)
     for i in range(p.size):
-        if u.held[i] == 0:
-            u.new.second[i] = 0.0
-        if u.held[i] == 0 or abs(u.new.first[i]) <= noise:
-            u.new.first[i] = 0.0
-    for k in range(p.planes):
-        if abs(r.new.first[k]) <= noise:
-            r.new.first[k] = 0.0
+        if is_free(p, i):
+            first[i], second[i] = 0.0, 0.0
+    for c in range(p.planes + p.size):
+        if abs(p.new.first[c]) <= noise:
+            p.new.first[c] = 0.0
 
 
 @inline
@@ -317,16 +288,13 @@ def least_squares(p, planes, rank):
             U[K + h, j] = 0.0
         for k in range(m):
             U[j, k] = b.L[p.planes + k, planes + j]
-        whole, left = square(U, j, m), 0.0
+        whole, left = dot(U[j], U[j], m), 0.0
         for _ in range(2):
             for h in range(j):
-                s = 0.0
-                for k in range(m):
-                    s += U[h, k] * U[j, k]
-                for k in range(m):
-                    U[j, k] -= s * U[h, k]
+                s = dot(U[h], U[j], m)
+                add_multiple(U[j], -s, U[h], m)
                 U[K + h, j] += s
-            left = square(U, j, m)
+            left = dot(U[j], U[j], m)
             if left >= CLEAR * whole:
                 break
         size = math.sqrt(left)
@@ -354,11 +322,9 @@ def closeness_of_task(p, planes, rank):
         for h in range(j):
             s -= b.U[K + h, j] * b.along[h]
         b.along[j] = s / b.U[K + j, j]
-    for k in range(p.task):
-        s = 0.0
+    for c in range(p.task):
         for j in range(rank):
-            s += b.U[j, k] * b.along[j]
-        p.r.new.second[p.planes + k] = s
+            p.new.second[p.planes + p.size + c] += b.U[j, c] * b.along[j]
 
 
 @inline
@@ -367,18 +333,18 @@ def residual(p):
 
     The bound is the sum, over the task rows, of the residual's rounding error times the row's length.
     """
-    u, r = p.u, p.r
-    size, terms, noise = 0.0, 0.0, 0.0
-    for k in range(p.planes, p.planes + p.task):
-        s, t = -r.rhs[k], abs(r.rhs[k])
+    size, terms, noise, first = 0.0, 0.0, 0.0, p.planes + p.size
+    for c in range(p.task):
+        k = p.planes + c
+        s, t = -p.rhs[k], abs(p.rhs[k])
         for i in range(p.size):
-            s += r.P[k, i] * u.y[i]
-            t += abs(r.P[k, i] * u.y[i])
-        r.new.first[k] = s
+            s += p.P[k, i] * p.y[i]
+            t += abs(p.P[k, i] * p.y[i])
+        p.new.first[first + c] = s
         size = max(size, abs(s))
         terms = max(terms, t)
-        noise += ROUNDING * t * r.length[k]
+        noise += ROUNDING * t * p.length[k]
     if size <= ROUNDING * terms:
-        for k in range(p.planes, p.planes + p.task):
-            r.new.first[k] = 0.0
+        for c in range(p.task):
+            p.new.first[first + c] = 0.0
     return noise

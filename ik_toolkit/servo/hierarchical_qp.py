@@ -9,7 +9,7 @@ Lagrange multiplier is a pair (first / eps + second) that is compared as one num
 solves a problem with equalities only (equality_qp.py). If the method starts from the active set of the last control step, one
 iteration is usually enough.
 
-A constraint is identified by a number: the bounds of unknown i by i, inequality k by p.size + k.
+`TwoLevels` says how constraints are numbered.
 """
 
 import math
@@ -17,7 +17,8 @@ import math
 import numpy as np
 
 from ..compile.jit import inline, inner
-from .equality_qp import NONE, SAME, dot, equality, square
+from ..kernel.vectors import dot
+from .equality_qp import NONE, SAME, equality, is_free
 
 DONE, STUCK, CONTRADICTION = range(3)  # outcomes: solved, out of iterations, infeasible
 # tolerance of bounds and inequalities; the unknowns are ratios of joint rates to joint speeds, and callers clip them to bounds
@@ -41,41 +42,42 @@ def wrong(one, two, side):
 @inline
 def violated(p):
     """Return the number of the most violated inactive constraint, or NONE, and its side: -1 lower, 1 upper."""
-    u, r, n = p.u, p.r, p.size
+    n = p.size
     # The rounding error of one large unknown spreads to the others, so the tolerance grows with the largest one.
     top = 1.0
     for i in range(n):
-        top = max(top, abs(u.y[i]))
+        top = max(top, abs(p.y[i]))
     which, side, most = NONE, 0, OUT
     for i in range(n):
-        if u.held[i] == 0:
-            under, over = u.floor[i] - u.y[i], u.y[i] - u.roof[i]
-            excess = max(under, over) / (1.0 + abs(u.y[i]))
+        if is_free(p, i):
+            under, over = p.floor[i] - p.y[i], p.y[i] - p.roof[i]
+            excess = max(under, over) / (1.0 + abs(p.y[i]))
             if excess > most and max(under, over) > OUT * top:
-                which, side, most = i, -1 if under > over else 1, excess
+                which, side, most = p.planes + i, -1 if under > over else 1, excess
     for k in range(p.planes):
-        if r.holds[k] == 0:
-            excess = (dot(r.P, k, u.y, n) - r.rhs[k]) / (1.0 + abs(r.rhs[k]))
+        if p.active[k] == 0:
+            excess = (dot(p.P[k], p.y, n) - p.rhs[k]) / (1.0 + abs(p.rhs[k]))
             if excess > most:
-                which, side, most = n + k, 1, excess
+                which, side, most = k, 1, excess
     return which, side
+
+
+@inline
+def may_leave(p, c):
+    """Return whether constraint c is active and may be dropped: an unknown whose two bounds are equal stays held."""
+    i = c - p.planes
+    return p.active[c] != 0 and (i < 0 or p.floor[i] < p.roof[i])
 
 
 @inline
 def wrong_most(p):
     """Return the number of the active constraint whose multiplier is furthest on the wrong side of zero (`wrong`), or NONE."""
-    u, r = p.u, p.r
     worst, which = 0.0, NONE
-    for i in range(p.size):
-        if u.held[i] != 0 and u.floor[i] < u.roof[i]:
-            w = wrong(u.new.first[i], u.new.second[i], u.held[i])
+    for c in range(p.planes + p.size):
+        if may_leave(p, c):
+            w = wrong(p.new.first[c], p.new.second[c], p.active[c])
             if w > worst:
-                worst, which = w, i
-    for k in range(p.planes):
-        if r.holds[k] != 0:
-            w = wrong(r.new.first[k], r.new.second[k], r.holds[k])
-            if w > worst:
-                worst, which = w, p.size + k
+                worst, which = w, c
     return which
 
 
@@ -83,9 +85,9 @@ def wrong_most(p):
 def unmet(p):
     """Return whether the last solution misses the task: its residual is above SAME_TASK times the task's right side."""
     miss, size = 0.0, 0.0
-    for k in range(p.planes, p.planes + p.task):
-        miss += p.r.new.first[k] * p.r.new.first[k]
-        size += p.r.rhs[k] * p.r.rhs[k]
+    for c in range(p.task):
+        miss += p.new.first[p.planes + p.size + c] ** 2
+        size += p.rhs[p.planes + c] ** 2
     return miss > SAME_TASK * SAME_TASK * size
 
 
@@ -95,38 +97,14 @@ def begin(p, cold):
 
     Unknowns with equal bounds are always held.
     """
-    u, r = p.u, p.r
     for k in range(p.planes + p.task):
-        r.length[k] = math.sqrt(square(r.P, k, p.size))
-    for i in range(p.size):
-        if u.floor[i] >= u.roof[i]:
-            u.held[i] = 1
-        elif cold or (u.floor[i] if u.held[i] < 0 else u.roof[i] if u.held[i] > 0 else 0.0) in (-np.inf, np.inf):
-            u.held[i] = 0
-    for k in range(p.planes):
-        if cold:
-            r.holds[k] = 0
-
-
-@inline
-def release(p, which):
-    """Remove constraint number `which` from the active set."""
-    if which < p.size:
-        p.u.held[which] = 0
-    else:
-        p.r.holds[which - p.size] = 0
-
-
-@inline
-def enforce(p, which, side):
-    """Add constraint number `which` to the active set, at the given side and with a multiplier of 0."""
-    if which < p.size:
-        p.u.held[which] = side
-        p.u.now.first[which], p.u.now.second[which] = 0.0, 0.0
-    else:
-        k = which - p.size
-        p.r.holds[k] = 1
-        p.r.now.first[k], p.r.now.second[k] = 0.0, 0.0
+        p.length[k] = math.sqrt(dot(p.P[k], p.P[k], p.size))
+    for c in range(p.planes + p.size):
+        i = c - p.planes
+        if i >= 0 and p.floor[i] >= p.roof[i]:
+            p.active[c] = 1
+        elif cold or (i >= 0 and p.active[c] != 0 and abs(p.floor[i] if p.active[c] < 0 else p.roof[i]) == np.inf):
+            p.active[c] = 0  # An infinite bound cannot be held.
 
 
 @inner
@@ -135,43 +113,33 @@ def solve_levels(p):
 
     Returns DONE, STUCK (out of iterations) or CONTRADICTION (the inequalities and bounds have no common solution).
     """
-    n = p.size
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
         adding = False  # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
-        for _ in range(PER * (n + p.planes)):
-            last = new - n  # It is below 0 if the constraint added last is a bound and no inequality.
-            dependent = equality(p, last)
+        for _ in range(PER * (p.planes + p.size)):
+            dependent = equality(p, new if new < p.planes else NONE)
             if not adding:
-                drop = n + dependent if dependent != NONE else wrong_most(p)
+                drop = dependent if dependent != NONE else wrong_most(p)
             elif dependent == NONE:
                 drop = move_on(p, new)
             else:
                 drop = exchange(p, dependent, new)
                 if drop == NONE:
-                    release(p, new)
+                    p.active[new] = 0
                     return CONTRADICTION
             if drop != NONE:
-                release(p, drop)
+                p.active[drop] = 0
                 continue
-            accept(p)
+            for c in range(p.planes + p.size):
+                p.now.first[c], p.now.second[c] = p.new.first[c], p.new.second[c]
             adding = True
             new, side = violated(p)
             if new == NONE:
                 return DONE
-            enforce(p, new, side)
+            p.active[new] = side
+            p.now.first[new], p.now.second[new] = 0.0, 0.0
     return STUCK
-
-
-@inline
-def accept(p):
-    """Make the multipliers of the last equality-constrained problem the present ones."""
-    u, r = p.u, p.r
-    for i in range(p.size):
-        u.now.first[i], u.now.second[i] = u.new.first[i], u.new.second[i]
-    for k in range(p.planes):
-        r.now.first[k], r.now.second[k] = r.new.first[k], r.new.second[k]
 
 
 @inline
@@ -190,35 +158,21 @@ def share(now, new, at, side):
 
 
 @inline
-def go(now, new, count, t, dt):
-    """Move the first `count` multipliers by the share t + dt eps of the way from their values `now` to `new`."""
-    for k in range(count):
-        one, two = new.first[k] - now.first[k], new.second[k] - now.second[k]
-        now.first[k] += t * one
-        now.second[k] += t * two + dt * one
-
-
-@inline
 def move_on(p, newest):
     """Move all multipliers towards the new ones, until the multiplier of a constraint other than `newest` becomes zero.
 
     Returns the number of this constraint, or NONE if no multiplier becomes zero on the way; then nothing is moved.
     """
-    u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE
-    for i in range(n):
-        if u.held[i] != 0 and i != newest and u.floor[i] < u.roof[i]:
-            a, da = share(u.now, u.new, i, u.held[i])
+    for c in range(p.planes + p.size):
+        if c != newest and may_leave(p, c):
+            a, da = share(p.now, p.new, c, p.active[c])
             if a < t or (a == t and da < dt):
-                t, dt, blocking = a, da, i
-    for k in range(p.planes):
-        if r.holds[k] != 0 and n + k != newest:
-            a, da = share(r.now, r.new, k, 1)
-            if a < t or (a == t and da < dt):
-                t, dt, blocking = a, da, n + k
-    if blocking != NONE:
-        go(u.now, u.new, n, t, dt)
-        go(r.now, r.new, p.planes, t, dt)
+                t, dt, blocking = a, da, c
+    for c in range(p.planes + p.size if blocking != NONE else 0):
+        one, two = p.new.first[c] - p.now.first[c], p.new.second[c] - p.now.second[c]
+        p.now.first[c] += t * one
+        p.now.second[c] += t * two + dt * one
     return blocking
 
 
@@ -226,34 +180,24 @@ def move_on(p, newest):
 def parts(p, dependent):
     """Write an inequality that depends linearly on the active constraints as a linear combination of these.
 
-    The coefficients are written to new.first of the bounds and inequalities; that of the inequality itself is -1.
+    The coefficients are written to new.first; that of the inequality itself is -1.
     """
-    u, r, b = p.u, p.r, p.b
-    planes = 0
+    b, planes = p.b, 0
     for k in range(p.planes):
-        r.new.first[k] = 0.0
-        if r.holds[k] != 0 and k != dependent:
-            planes += 1
+        p.new.first[k] = 0.0
+        planes += p.active[k] != 0 and k != dependent
     for j in range(planes - 1, -1, -1):
         s = b.L[dependent, j]
         for h in range(j + 1, planes):
-            s -= b.L[b.order[h], j] * r.new.first[b.order[h]]
-        r.new.first[b.order[j]] = s / b.L[b.order[j], j]
-    r.new.first[dependent] = -1.0
+            s -= b.L[b.order[h], j] * p.new.first[b.order[h]]
+        p.new.first[b.order[j]] = s / b.L[b.order[j], j]
+    p.new.first[dependent] = -1.0
     for i in range(p.size):
         s = 0.0
-        if u.held[i] != 0:
+        if not is_free(p, i):
             for k in range(p.planes):
-                s -= r.P[k, i] * r.new.first[k]
-        u.new.first[i] = s
-
-
-@inline
-def pay(now, parts, count, one, two):
-    """Subtract (one / eps + two) times the coefficients `parts` from the first `count` multipliers `now`."""
-    for k in range(count):
-        now.first[k] -= one * parts[k]
-        now.second[k] -= two * parts[k]
+                s -= p.P[k, i] * p.new.first[k]
+        p.new.first[p.planes + i] = s
 
 
 @inner
@@ -264,31 +208,21 @@ def exchange(p, dependent, newest):
     `dependent` is the inequality that is a linear combination of active constraints. The new constraint is this inequality itself,
     or a bound in the combination.
     """
-    u, r, n = p.u, p.r, p.size
     parts(p, dependent)
-    side = u.held[newest] if newest < n else 1
-    part = u.new.first[newest] if newest < n else r.new.first[newest - n]
+    own, side = p.new.first[newest], p.active[newest]
     # The new constraint is no part of the combination, so the inequality seemed independent only through rounding.
-    if not abs(part) > SAME:
-        return n + dependent
-    for i in range(n):
-        u.new.first[i] *= -side / part
-    for k in range(p.planes):
-        r.new.first[k] *= -side / part
+    if not abs(own) > SAME:
+        return dependent
     one, two, blocking = np.inf, np.inf, NONE
-    for i in range(n):
-        part = u.new.first[i] * u.held[i]
-        if part > SAME and i != newest and u.floor[i] < u.roof[i]:
-            a, c = u.now.first[i] * u.held[i] / part, u.now.second[i] * u.held[i] / part
-            if a < one or (a == one and c < two):
-                one, two, blocking = a, c, i
-    for k in range(p.planes):
-        part = r.new.first[k]
-        if part > SAME and n + k != newest:
-            a, c = r.now.first[k] / part, r.now.second[k] / part
-            if a < one or (a == one and c < two):
-                one, two, blocking = a, c, n + k
-    if blocking != NONE:  # The new constraint's own coefficient is -side, so its multiplier grows.
-        pay(u.now, u.new.first, n, one, two)
-        pay(r.now, r.new.first, p.planes, one, two)
+    for c in range(p.planes + p.size):
+        p.new.first[c] *= -side / own
+        part = p.new.first[c] * p.active[c]
+        if part > SAME and c != newest and may_leave(p, c):
+            a, b = p.now.first[c] * p.active[c] / part, p.now.second[c] * p.active[c] / part
+            if a < one or (a == one and b < two):
+                one, two, blocking = a, b, c
+    for c in range(p.planes + p.size if blocking != NONE else 0):
+        # The new constraint's own coefficient is -side, so its multiplier grows.
+        p.now.first[c] -= one * p.new.first[c]
+        p.now.second[c] -= two * p.new.first[c]
     return blocking

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, whole
+from ..kernel.limits import LIMIT
 from ..validate import number
 
 
@@ -105,7 +106,7 @@ class JointObserver:
         largest = float(np.abs(apart).max())
         if not largest <= most:  # The comparison is false for NaN.
             agree = self.far is not None and np.abs(measured - self.far).max() <= most
-            inside = (measured >= limits[0] - most) & (measured <= limits[1] + most)
+            inside = (measured >= limits[LIMIT.lowest] - most) & (measured <= limits[LIMIT.highest] + most)
             self.confirmed = bool(agree and inside.all())
             self.far, self.doubts = measured, self.doubts + 1
             return largest if largest < math.inf else math.inf

@@ -18,7 +18,8 @@ from ..compile.jit import compiled, dual
 from ..kernel.linalg import TINY, cholesky, cholesky_solve
 from ..kernel.null_space import SINGLE, is_wide
 from ..kernel.records import Array
-from .viability import approach
+from ..kernel.vectors import apply_transposed, dot, dot_of_columns
+from .viability import LIMIT, approach
 
 CV, AV, CA, AA = range(4)  # codes of the methods; AA is also the code of method aad
 CLIP = 2  # mode in which each joint is clipped on its own; the modes 0 and 1 are LEAVE and DIRECT
@@ -26,11 +27,20 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes 
 # A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
 MOVING, GIVEN, RUNNING, READY = range(4)
 FINE, NOT_FINITE, RUNAWAY = range(3)  # end of the loop: all steps taken, command not finite, move too large
-# Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
-FAR = 0.25
-SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
-AT = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
 REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
+
+
+@compiled
+class Easing(NamedTuple):
+    """Thresholds for how much of an error is fed back, see `ease`."""
+
+    # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
+    curved: float = 0.25
+    sluggish: float = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
+    touching: float = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
+
+
+EASING = Easing()
 
 
 class State(NamedTuple):
@@ -122,19 +132,11 @@ class Briskness(NamedTuple):
 @dual
 def gram(J, m, wide, extra, G):
     """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal; diagonal entries of zero become 1."""
-    n = J.shape[0]
-    k = m if wide else n
+    k = m if wide else J.shape[0]
     top = 0.0
     for r in range(k):
         for c in range(r + 1):
-            s = 0.0
-            if wide:
-                for i in range(n):
-                    s += J[i, r] * J[i, c]
-            else:
-                for i in range(m):
-                    s += J[r, i] * J[c, i]
-            G[r, c] = s
+            G[r, c] = dot_of_columns(J, r, J, c, J.shape[0]) if wide else dot(J[r], J[c], m)
         top = max(top, G[r, r])
     for r in range(k):
         G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
@@ -178,26 +180,13 @@ def factor(J, m, damping, G, y):
 @dual
 def apply(J, m, G, b, y, out):
     """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
-    n = J.shape[0]
     wide = is_wide(J, m)
-    k = m if wide else n
+    k = m if wide else J.shape[0]
     for r in range(k):
-        s = 0.0
-        if wide:
-            s = b[r]
-        else:
-            for i in range(m):
-                s += J[r, i] * b[i]
-        y[r] = s
+        y[r] = b[r] if wide else dot(J[r], b, m)
     cholesky_solve(G, k, y)
-    for i in range(n):
-        if wide:
-            s = 0.0
-            for r in range(m):
-                s += J[i, r] * y[r]
-            out[i] = s
-        else:
-            out[i] = y[i]
+    for i in range(J.shape[0]):
+        out[i] = dot(J[i], y, m) if wide else y[i]
 
 
 @dual
@@ -216,11 +205,7 @@ def prepare(p, inverse, target, rate, h, joints):
             t[k] = target.ahead[k] - p.omit * target.e[k]
         apply(J, m, inverse.G, t, inverse.y, joints.move)
     if code >= CA:
-        for k in range(m):
-            s = 0.0
-            for i in range(n):
-                s += J[i, k] * rate[i]
-            t[k] = s
+        apply_transposed(J, rate, t)
         apply(J, m, inverse.G, t, inverse.y, joints.null)
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
@@ -254,20 +239,16 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
         for i in range(n):
             x[i] = move[i] / h
     elif code == CA:
+        apply_transposed(J, rate, t)
         for k in range(m):
-            s = 0.0
-            for i in range(n):
-                s += J[i, k] * rate[i]
-            t[k] = target.a[k] + p.kd * (target.v[k] - s) + p.kp * target.e[k] - target.bias[k]
+            t[k] = target.a[k] + p.kd * (target.v[k] - t[k]) + p.kp * target.e[k] - target.bias[k]
         apply(J, m, inverse.G, t, inverse.y, x)
         for i in range(n):
             u = x[i] - p.null * null[i]
             x[i] = rate[i] + h * (u + 0.5 * ratio * (u - prev[i]))
             prev[i] = u
     else:
-        for k in range(m):
-            t[k] = target.bias[k]
-        apply(J, m, inverse.G, t, inverse.y, x)
+        apply(J, m, inverse.G, target.bias, inverse.y, x)
         for i in range(n):
             u = (move[i] / h - rate[i] + null[i]) / (p.gamma * h) - 0.5 * x[i] / p.gamma - p.null * null[i]
             x[i] = rate[i] + h * u
@@ -293,12 +274,16 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
         size = abs(c[i])
-        if walls and (q[i] >= limits[1, i] - AT if c[i] > 0.0 else q[i] <= limits[0, i] + AT):
+        if walls and (
+            q[i] >= limits[LIMIT.highest, i] - EASING.touching
+            if c[i] > 0.0
+            else q[i] <= limits[LIMIT.lowest, i] + EASING.touching
+        ):
             stopped = True
             continue
-        cap = fast * limits[2, i]
-        if limits[3, i] < np.inf:
-            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
+        cap = fast * limits[LIMIT.speed, i]
+        if limits[LIMIT.acceleration, i] < np.inf:
+            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[LIMIT.acceleration, i], h))
         if pace * size > cap > 0.0:  # A locked joint is skipped: the others close the error.
             f = min(f, cap / (pace * size))
     return f, stopped
@@ -312,13 +297,13 @@ def spare(J, m, e, limits, H, y, c):
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
-        top = max(top, limits[2, i] if limits[2, i] < np.inf else 0.0)
+        top = max(top, limits[LIMIT.speed, i] if limits[LIMIT.speed, i] < np.inf else 0.0)
     for i in range(c.shape[0]):
-        slow = slow or halved(limits[2, i], top) < 1.0
+        slow = slow or halved(limits[LIMIT.speed, i], top) < 1.0
     if not slow:
         return False
     for i in range(c.shape[0]):
-        w = halved(limits[2, i], top)
+        w = halved(limits[LIMIT.speed, i], top)
         for k in range(m):
             J[i, k] *= w
     gram(J, m, True, 0.0, H)
@@ -326,7 +311,7 @@ def spare(J, m, e, limits, H, y, c):
     apply(J, m, H, e, y, c)
     finite = True
     for i in range(c.shape[0]):
-        w = halved(limits[2, i], top)
+        w = halved(limits[LIMIT.speed, i], top)
         c[i] *= w
         finite = finite and abs(c[i]) < np.inf
         for k in range(m):
@@ -338,7 +323,7 @@ def spare(J, m, e, limits, H, y, c):
 def halved(speed, top):
     """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
     w = 1.0
-    while 0.0 < speed < SLUGGISH * top and speed < w * top:
+    while 0.0 < speed < EASING.sluggish * top and speed < w * top:
         w *= 0.5
     return w
 
@@ -357,14 +342,11 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     pace, f, wide, blocked, looked = natural(p, h), 1.0, is_wide(J, m), False, allowed.rows >= 0
     for damped in range(2):
         if damped:
-            gram(J, m, wide, FAR * brisk.bend, H)
+            gram(J, m, wide, EASING.curved * brisk.bend, H)
             cholesky(H, m if wide else n, 0.0)
         apply(J, m, H if damped else inverse.G, e, y, c)
         for k in range(allowed.rows):
-            over = -max(allowed.edges[k], 0.0) / pace
-            for i in range(n):
-                over += allowed.planes[k, i] * c[i]
-            blocked = blocked or over > 0.0
+            blocked = blocked or dot(allowed.planes[k], c, n) > max(allowed.edges[k], 0.0) / pace
         f, stopped = possible(c, pace, h, q, limits, brisk.fast, brisk.quick, looked)
         blocked = blocked or stopped
         if f == 1.0 or not blocked or brisk.bend == 0.0:

@@ -22,6 +22,7 @@ from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import step_class
+from ..kernel.vectors import apply_transposed, clear
 from .command import Moment, Published, copy_rows, lean, wanted
 from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
@@ -40,12 +41,13 @@ from .laws import (
     own_up,
     settle,
 )
-from .null_space_motion import PRESSED, lay_aside, reflect, slack_rows
+from .null_space_motion import SLACK, lay_aside, reflect, slack_rows
 from .singular_step import along_lost, by_modes
 from .viability import (
     CALMED,
+    CALMING,
     HELD,
-    LASTING,
+    LIMIT,
     RECOVERING,
     ROW,
     UNLIMITED,
@@ -71,8 +73,10 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
         apply(J, J.shape[1], G, f, y, rate)
         for i in range(q.shape[0]):
             up = rate[i] > 0.0
-            gap = max(way_to(limits[1 if up else 0, i], q[i], 1.0 if up else -1.0), 0.0)
-            top = min(limits[2, i], approach(gap, 0.0, law.gamma, 0.0, limits[3, i], law.late))
+            gap = max(way_to(limits[LIMIT.highest if up else LIMIT.lowest, i], q[i], 1.0 if up else -1.0), 0.0)
+            top = min(
+                limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late)
+            )
             rate[i] = min(max(rate[i], -top), top)
     state[STATE.start] = READY
 
@@ -81,7 +85,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
 def take_stock(task, look, s, V, A, plain, counts, E):
     """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
 
-    E is in base axes, reduced by the slack (dead band) counts[2].
+    E is in base axes, reduced by the slack (dead band) of each error.
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
@@ -89,8 +93,9 @@ def take_stock(task, look, s, V, A, plain, counts, E):
     task.moving(V, s.f)
     task.moving(A, s.a)
     task.base_axes(s.e, E)
+    slack = counts[2]
     for k in range(E.shape[0]):
-        E[k] -= min(max(E[k], -counts[2, k]), counts[2, k])
+        E[k] -= min(max(E[k], -slack[k]), slack[k])
     if not plain:
         task.mirrors(s.flip)
         lay_aside(s.flip, s.J, s.e)
@@ -103,8 +108,7 @@ def leave_out(J, floor, roof):
     """Set the rows of J to zero for joints that cannot move (locked ones), to judge singularity without them."""
     for i in range(floor.shape[0]):
         if floor[i] == 0.0 and roof[i] == 0.0:
-            for k in range(J.shape[1]):
-                J[i, k] = 0.0
+            clear(J[i])
 
 
 @inline
@@ -113,7 +117,7 @@ def quieten(law, s, rate, swings, h, state):
 
     Otherwise the reversals may be due to the motion of the target itself.
     """
-    if law.mode != CLIP and state[STATE.free] < LASTING:
+    if law.mode != CLIP and state[STATE.free] < CALMING.lasting:
         calm(rate, s.size, swings, h, box_of(s))
 
 
@@ -151,8 +155,7 @@ def clip_rates(law, s, still, h, memory, code):
         return
     for k in range(code.shape[0]):
         code[k] = code[k] | HELD
-    for k in range(memory.shape[0]):
-        memory[k] = 0.0
+    clear(memory)
 
 
 # ---------------------------------------------------------------------------------------------------- inside the limits
@@ -169,8 +172,7 @@ def judge(wanted, h, p, state):
     bad = not largest < LARGEST
     still = p.brake > 0.0 or (bad and p.runaway == np.inf)
     if still:
-        for k in range(wanted.shape[0]):
-            wanted[k] = 0.0
+        clear(wanted)
     # In the other modes the rate bounds limit a command that is large but finite.
     elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
@@ -185,24 +187,20 @@ def by_constraints(law, s, count, mu, h, own, work, code):
     count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
     already in s. code (n,) receives the bits of the limits that held joints back.
     """
-    n, m = s.J.shape
+    n = s.J.shape[0]
     mode, size = int(law.mode), s.size
     if mu > 0.0:
         mode, size = LEAVE, s.even
     else:
-        for k in range(m):
-            s.ask[k] = 0.0
-            for i in range(n):
-                s.ask[k] += s.J[i, k] * s.x[i]
-        for i in range(n):
-            s.v[i] = 0.0
+        apply_transposed(s.J, s.x, s.ask)
+        clear(s.v)
         along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
     copy(s.x, s.w)
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
     status = constrain(TaskRate(s.J, s.weight, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
     if status >= SHORT:
-        own.state[STATE.pressed] = PRESSED
+        own.state[STATE.pressed] = SLACK.pressed
     for i in range(n):
         code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
         if status != WANTED and own.active[i] == 1:
@@ -272,7 +270,8 @@ def run(step, arm, given, own, samples, out, h, block):
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
     for i in range(n):
-        s.size[i], s.even[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED, 1.0
+        speed = limits[LIMIT.speed, i]
+        s.size[i], s.even[i] = speed if 0.0 < speed < np.inf else UNLIMITED, 1.0
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)

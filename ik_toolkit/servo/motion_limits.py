@@ -9,7 +9,7 @@ from ..errors import InvalidOption, floats, near_match
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..validate import switch
-from .viability import UNLIMITED
+from .viability import LIMIT, UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 INSTEAD = {  # advice in the error raised on assignment to an attribute of a Tracker, by attribute; "": all others
@@ -35,11 +35,11 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
     """
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)
-    rows[0] = -np.inf
+    rows[LIMIT.lowest] = -np.inf
     if switch(limits, "limits"):
         speed = np.asarray(robot.velocity_limits, dtype=float)
-        rows[0], rows[1] = robot.lower / unit, robot.upper / unit
-        rows[2] = np.where(speed > 0.0, speed, np.inf) / unit
+        rows[LIMIT.lowest], rows[LIMIT.highest] = robot.lower / unit, robot.upper / unit
+        rows[LIMIT.speed] = np.where(speed > 0.0, speed, np.inf) / unit
     if acceleration_limits is not None:
         if not limits:
             raise InvalidOption("acceleration_limits must go with limits=True")
@@ -49,13 +49,13 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
             raise InvalidOption(f"{what}, not {acceleration_limits!r:.60}")
         if not (a > 0.0).all():
             raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
-        rows[3] = a / unit
+        rows[LIMIT.acceleration] = a / unit
     return rows
 
 
 def speeds(limits: np.ndarray) -> np.ndarray:
     """Return the speed limits (n,) from limits (4, n), with UNLIMITED in place of infinite ones."""
-    return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
+    return np.where(limits[LIMIT.speed] < np.inf, limits[LIMIT.speed], UNLIMITED)
 
 
 def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
@@ -94,6 +94,6 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
         if np.isnan(new).any() or (new < least).any():
             raise InvalidOption(f"{name} must be numbers{'' if least else ' of at least 0'}, not {value!r:.60}")
         row[:] = new / unit
-    if (rows[0] > rows[1]).any():
+    if (rows[LIMIT.lowest] > rows[LIMIT.highest]).any():
         raise InvalidOption("lower limits must not be above the upper ones")
     return rows

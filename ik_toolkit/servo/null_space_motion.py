@@ -4,25 +4,37 @@ The options of the null space are checked once (`Secondary`); the compiled part 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compile.jit import inline, inner
+from ..compile.jit import compiled, inline, inner
 from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
+from ..kernel.limits import LIMIT
+from ..kernel.records import copy
+from ..kernel.vectors import add_multiple, apply_transposed, clear, largest
 from ..validate import number
 from .laws import STATE, apply
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
-# [rad or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
+# [rad or m, or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
 STEP = 1e-5
-NEARLY = 0.5  # share of the distance to the end of its slack (dead band) by which an error may grow in one sample
-# An error that exceeds its slack by more than this is closed like an error without slack.
-# BEYOND [share of the slack] applies while inequalities cannot be kept; a smaller excess may be rounding.
-# FAR [arm reaches, rad] applies otherwise.
-BEYOND, FAR = 1e-3, 1e-2
-PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are tried again
+
+
+@compiled
+class SlackRules(NamedTuple):
+    """How an error with a slack (dead band) is kept inside it."""
+
+    nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
+    # An error that exceeds its slack by more than this is closed like an error without slack: `beyond` [share of the slack] while
+    # inequalities cannot be kept, as a smaller excess may be rounding; `far` [arm reaches, rad] otherwise.
+    beyond: float = 1e-3
+    far: float = 1e-2
+    pressed: float = 0.1  # [s] after which inequalities that keep errors within slack are tried again
+
+
+SLACK = SlackRules()
 
 
 @inline
@@ -37,6 +49,38 @@ def reflect(flip, y):
         if s != 0.0:
             for c in range(3):
                 y[k + c] -= s * flip[f, c]
+
+
+@inline
+def bend(task, look, s, weighed):
+    """Write (dJ/dt along s.x1) s.x2 to s.bias (m,), multiplied by the weights of the errors if `weighed`."""
+    if task.plain():
+        task.bending(look, s.x1, s.x2, s.bias)
+    else:
+        by_difference(task, s)
+    if weighed:
+        for k in range(s.bias.shape[0]):
+            s.bias[k] *= s.weight[k]
+
+
+@inline
+def by_difference(task, s):
+    """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
+    n, m = task.desk.J.shape
+    size = largest(s.x1)
+    clear(s.bias)
+    if size > 0.0:
+        for sign in (1.0, -1.0):
+            copy(s.at, s.probe)
+            add_multiple(s.probe, sign * STEP / size, s.x1, n)
+            task.stand(s.probe)
+            task.jacobian(task.see())
+            for i in range(n):
+                add_multiple(s.bias, sign * 0.5 * size / STEP * s.x2[i], task.desk.J[i], m)
+    reflect(s.flip, s.bias)
+    for k in range(s.bias.shape[0]):
+        if s.weight[k] == 0.0:
+            s.bias[k] = 0.0
 
 
 @inner
@@ -73,10 +117,10 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, s, count, h, state):
     """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside the band, an error may come closer to its edge by at most NEARLY of the distance in one sample; slightly outside, it is
-    brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict
-    the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then let joints
-    turn at full speed.
+    Inside the band, an error may come closer to its edge by at most the share SLACK.nearly of the distance in one sample; slightly
+    outside, it is brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task
+    or contradict the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then
+    let joints turn at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -86,15 +130,15 @@ def slack_rows(slack, s, count, h, state):
         if not slack[k] > 0.0:
             continue
         inside = min(max(e[k], -slack[k]), slack[k])
-        if abs(e[k] - inside) > (BEYOND * slack[k] if pressed > 0.0 else FAR):
-            state[STATE.pressed] = PRESSED
+        if abs(e[k] - inside) > (SLACK.beyond * slack[k] if pressed > 0.0 else SLACK.far):
+            state[STATE.pressed] = SLACK.pressed
             e[k] -= inside
             s.ahead[k] -= inside
             continue
         for sign in (1.0, -1.0):
             for i in range(n):
                 s.planes[count, i] = -sign * s.J[i, k]
-            s.edges[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * s.f[k]
+            s.edges[count] = SLACK.nearly * (slack[k] - sign * e[k]) / h - sign * s.f[k]
             count += 1
         for i in range(n):
             s.J[i, k] = 0.0
@@ -106,7 +150,7 @@ def slack_rows(slack, s, count, h, state):
 def away_from_limits(q, limits, gain, g):
     """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
     for i in range(q.shape[0]):
-        lower, upper = limits[0, i], limits[1, i]
+        lower, upper = limits[LIMIT.lowest, i], limits[LIMIT.highest, i]
         wide = upper - lower
         if not (wide < np.inf and wide > 0.0):
             continue
@@ -135,11 +179,7 @@ def clip_wish(g, x, low, top):
 @inner
 def into_null_space(J, m, G, y, t, g, part):
     """Project g (n,) into the null space of the task, in place: g -= J^+ J g, with the G that `factor` wrote."""
-    for k in range(m):
-        s = 0.0
-        for i in range(g.shape[0]):
-            s += J[i, k] * g[i]
-        t[k] = s
+    apply_transposed(J, g, t)
     apply(J, m, G, t, y, part)
     for i in range(g.shape[0]):
         g[i] -= part[i]
@@ -148,7 +188,6 @@ def into_null_space(J, m, G, y, t, g, part):
 # [1/s] gain of the motion away from limits; at the limit itself a joint moves 15 % of its range in a second
 AVOID = 1.0
 POSTURE = 1.0  # [1/s] gain of the motion towards a posture
-DIFFERENCE = 1e-5  # [rad or m] step of the difference quotient for the gradient of a caller's cost
 
 
 class Secondary(Holds):
@@ -164,8 +203,10 @@ class Secondary(Holds):
 
     def confine(self, limits: np.ndarray) -> None:
         """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
-        limits[0] = np.where(self.sides > 0.0, np.maximum(limits[0], 0.0), limits[0])
-        limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
+        limits[LIMIT.lowest] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lowest], 0.0), limits[LIMIT.lowest])
+        limits[LIMIT.highest] = np.where(
+            self.sides < 0.0, np.minimum(limits[LIMIT.highest], 0.0), limits[LIMIT.highest]
+        )
 
     def side(self, away: np.ndarray) -> None:
         """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.
@@ -194,8 +235,8 @@ class Secondary(Holds):
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
         """Return the gradient (n,) of a scalar function by central differences."""
-        steps = DIFFERENCE * np.eye(len(at))
-        return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * DIFFERENCE) for d in steps])
+        steps = STEP * np.eye(len(at))
+        return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * STEP) for d in steps])
 
     def _volume(self, q: np.ndarray) -> float:
         """Return the logarithm of the manipulability (the product of the singular values of J) at q (n,) [rad or m]."""
@@ -203,7 +244,7 @@ class Secondary(Holds):
         J = np.zeros((6 * len(self.robot.arms), len(q)))
         for f, (arm, place) in enumerate(arms):
             J[6 * f : 6 * f + 6, place] = arm.chain.forward(q[place], jacobian=True)[1][0]
-        return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), DIFFERENCE)).sum())
+        return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), STEP)).sum())
 
 
 def read_secondary(

@@ -19,14 +19,23 @@ from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
-LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
-MOST = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
-ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
-EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
-SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
-SAMPLES, FINE = 100, 0.03  # least number of samples of a motion; largest distance between them [arm reaches, rad]
-CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
-SMOOTH = 0.05  # share of the speed by which its start and end may differ: a spline through a sampled lap is off by less
+
+class Sampling(NamedTuple):
+    """How a path is sampled and followed for the product of its steps."""
+
+    largest: float = 700.0  # just below the logarithm of the largest factor that a float can hold
+    most: int = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
+    iterations: int = 50  # largest number of Newton iterations for one sample; two or three are needed
+    exact: float = 1e-10  # [m, rad] error below which a sample counts as on the path
+    singular: float = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
+    samples: int = 100  # least number of samples of a motion
+    fine: float = 0.03  # largest distance between two samples of a motion [arm reaches, rad]
+    closed: float = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
+    # share of the speed by which its start and end may differ: a spline through a sampled lap is off by less
+    smooth: float = 0.05
+
+
+ORBIT = Sampling()
 
 
 class Growth(NamedTuple):
@@ -87,9 +96,9 @@ class PathMotion:
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
             raise InvalidOption("gains are judged along a path= (a Reference, as ik.circle) of a robot= (a Robot)")
         self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
-        T = reference.at(np.linspace(0.0, reference.duration, SAMPLES))[0]
+        T = reference.at(np.linspace(0.0, reference.duration, ORBIT.samples))[0]
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
-        count = max(SAMPLES, int(moved.max(axis=(1, 2)).sum() / FINE))
+        count = max(ORBIT.samples, int(moved.max(axis=(1, 2)).sum() / ORBIT.fine))
         self.times = np.linspace(0.0, reference.duration, count)
         start = robot.home if q0 is None else robot.check_q(q0, "q0")
         self.q = np.tile(solve(robot, reference.target(0.0), q0=start).q, (count, 1))
@@ -100,13 +109,13 @@ class PathMotion:
 
     def _follow(self, Q: np.ndarray, T: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return joint values at which the tip is at T (N, 4, 4), found from Q (N, n); times (N,) [s] are for the error."""
-        for _ in range(ITERATIONS):
+        for _ in range(ORBIT.iterations):
             now, J = self.robot.chain.forward(Q, jacobian=True)
             e = tip_errors(T, now, self.m)
             far = np.abs(e).max(axis=1)
-            if far.max() < EXACT:
+            if far.max() < ORBIT.exact:
                 return Q
-            Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, : self.m], rcond=SINGULAR), e)
+            Q = Q + np.einsum("kij,kj->ki", np.linalg.pinv(J[:, : self.m], rcond=ORBIT.singular), e)
         at = times[int(np.argmax(far))]
         few = (
             "" if self.m == 3 or self.robot.n >= 6 else "; with so few joints ask for positions alone (--position-only)"
@@ -120,14 +129,14 @@ class PathMotion:
         times = self.reference.times(h)
         if len(times) < 2:
             raise InvalidOption(f"h = {h:g} s is longer than the path ({self.reference.duration:g} s)")
-        if len(times) > MOST:
+        if len(times) > ORBIT.most:
             raise InvalidOption(
-                f"{len(times):,} samples of the path are too many (at most {MOST:,}); judge a part of it"
+                f"{len(times):,} samples of the path are too many (at most {ORBIT.most:,}); judge a part of it"
             )
         T, V, A = self.reference.at(times)
         Q = self._follow(np.column_stack([np.interp(times, self.times, one) for one in self.q.T]), T, times)
         bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
-        rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=SINGULAR), V[:, : self.m])[:-1]
+        rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=ORBIT.singular), V[:, : self.m])[:-1]
         ahead = tip_errors(T[1:], poses[:-1], self.m)
         self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
         return self._last[1]
@@ -158,13 +167,13 @@ class PathMotion:
         blocks = np.eye(steps.shape[-1] // self.robot.n)
         total, scale = chained(steps)
         # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
-        lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=SINGULAR))
+        lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=ORBIT.singular))
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off, bend = np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max()
-        closed = bool(off < CLOSED and bend < CLOSED + SMOOTH * np.abs(V).max())
+        closed = bool(off < ORBIT.closed and bend < ORBIT.closed + ORBIT.smooth * np.abs(V).max())
         value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap[: self.m, : self.m], 2)
         logarithm = float(np.log(max(value, 1e-300)) + scale)
-        return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+        return Growth(float(np.exp(min(logarithm, ORBIT.largest))), float(np.exp(logarithm / len(steps))), closed)
 
 
 def stable_bands(
@@ -272,7 +281,7 @@ def step_matrices(
     """
     N = len(orbit.rate)
     J, H = bent.J[:N], bent.H[:N]
-    P = np.linalg.pinv(J, rcond=SINGULAR)
+    P = np.linalg.pinv(J, rcond=ORBIT.singular)
     eye = np.broadcast_to(np.eye(J.shape[2]), (N, J.shape[2], J.shape[2]))
     free, damped = eye - P @ J, null_rate(method, null_damping, h)
     qd = orbit.rate

@@ -1,8 +1,8 @@
 """Which poses of a reference can be reached at all, found by following it continuously from its start."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,22 +11,31 @@ from ..robot.joints import Joints
 from ..robot.rotation import angles_between
 from ..text import angle, length
 
-CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a tenth of a run's default tolerances
-DENSE = 1000  # number of samples from which the length of a path is measured
-STEP = (0.02, 0.05)  # largest distance between two poses tested: as a share of the arm's reach, and in rad
-FEWEST, MOST = 40, 1000  # least and largest number of poses tested along a path
-# number of bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
-HALVINGS = 10
-# A joint that is nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
-BOUNDARY = 1e-3
-STARTS = 24  # number of attempts to find another posture for the start of a path
-APART = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
-SHORTER = 0.95  # The first size factor suggested for a path is this times the share of the path that can be reached.
-# These size factors are tried as well, because a smaller closed path may be in reach as a whole.
-SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
-PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
-DIGITS = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
 
+class Surveying(NamedTuple):
+    """How finely a path is looked at, and which changes are tried where a part of it is out of reach."""
+
+    # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
+    close: tuple[float, float] = (1e-4, 2e-4)
+    dense: int = 1000  # number of samples from which the length of a path is measured
+    # largest distance between two poses: as a share of the arm's reach, and in rad
+    step: tuple[float, float] = (0.02, 0.05)
+    fewest: int = 40  # least number of poses tested along a path
+    most: int = 1000  # largest number of poses tested along a path
+    # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
+    halvings: int = 10
+    # A joint nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
+    boundary: float = 1e-3
+    starts: int = 24  # number of attempts to find another posture for the start of a path
+    apart: float = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
+    shorter: float = 0.95  # The first size factor suggested is this times the share of the path that can be reached.
+    # These size factors are tried as well, because a smaller closed path may be in reach as a whole.
+    sizes: tuple[float, ...] = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
+    probe: float = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
+    digits: str = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
+
+
+SURVEY = Surveying()
 References = Reference | Mapping[str, Reference]
 
 
@@ -82,7 +91,7 @@ class Survey:
         }
 
 
-def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any) -> Survey:
+def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any) -> Survey:
     """Follow a reference from q0 (n,), pose by pose.
 
     Args:
@@ -95,47 +104,50 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
     Returns:
         The survey.
     """
-    t, along, turning = samples_of(robot, reference, fewest)
-    first, then = bound_search(robot, restarts=0, **options), bound_search(robot, follow=True, **options)
-    targets = targets_at(reference, t)
+    t, along, turning = path_samples(robot, reference, fewest)
     q = np.empty((len(t), robot.n))
     until, stop = None, float(along[-1])
     joints: tuple[str, ...] = ()
-    last = robot.check_q(q0, "q0")
-    for k, target in enumerate(targets):
-        found = (then if k else first)(target, last)
+    for k, found in enumerate(_followed(robot, targets_at(reference, t), robot.check_q(q0, "q0"), options)):
         q[k] = found.q
         if not found.success and until is None:
-            until = k
-            stop = _edge(then, reference, t, along, q, k)
-            joints = near_limits(robot, found.q)
-        last = q[k]
+            until, joints = k, near_limits(robot, found.q)
+            stop = _edge(bound_search(robot, follow=True, **options), reference, t, along, q, k)
     posed = not all(one.position_only for one in _each(reference))
     return Survey(robot, t, q, along, turning, posed, until, stop, joints, pace(robot, t, q))
 
 
 def trace(
-    robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any
+    robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return times (K,) [s] and joint values (K, n) as `survey` does, or None if a pose is out of reach."""
-    t, _, _ = samples_of(robot, reference, fewest)
-    first, then = bound_search(robot, restarts=0, **options), bound_search(robot, follow=True, **options)
-    q, last = np.empty((len(t), robot.n)), q0
-    for k, target in enumerate(targets_at(reference, t)):
-        found = (then if k else first)(target, last)
+    t, _, _ = path_samples(robot, reference, fewest)
+    q = []
+    for found in _followed(robot, targets_at(reference, t), q0, options):
         if not found.success:
             return None
-        q[k] = last = found.q
-    return t, q
+        q.append(found.q)
+    return t, np.array(q)
+
+
+def _followed(robot: Joints, targets: list[Any], q: Any, options: dict[str, Any]) -> Iterator[Any]:
+    """Yield what a search finds for each target, the first from q (n,), the others near the joint values found before."""
+    first, then = bound_search(robot, restarts=0, **options), bound_search(robot, follow=True, **options)
+    for k, target in enumerate(targets):
+        found = (then if k else first)(target, q)
+        q = found.q
+        yield found
 
 
 def other_start(robot: Joints, reference: References, **options: Any) -> np.ndarray | None:
     """Return joint values (n,) at a reference's start from which all of it can be reached, or None."""
     start = targets_at(reference, np.zeros(1))[0]
     solver, tried = bound_search(robot, restarts=0, **options), []
-    for q in robot.random_q(np.random.default_rng(0), STARTS):
+    for q in robot.random_q(np.random.default_rng(0), SURVEY.starts):
         found = solver(start, q)
-        new = found.success and not any((np.abs(found.q - other) < APART * robot.chain.unit).all() for other in tried)
+        new = found.success and not any(
+            (np.abs(found.q - other) < SURVEY.apart * robot.chain.unit).all() for other in tried
+        )
         if new and trace(robot, reference, found.q, **options) is not None:
             return found.q
         if new:
@@ -151,33 +163,40 @@ def bound_search(robot: Joints, **options: Any) -> Any:
     return bound_solver(
         robot,
         search_for(options.get("priority")),
-        {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options,
+        {"position_tolerance": SURVEY.close[0], "orientation_tolerance": SURVEY.close[1]} | options,
     )
 
 
 def freed(reference: Reference) -> Reference:
     """Return the same path with the orientation free."""
 
-    def function(t: np.ndarray) -> Any:
-        T, V, A = (part.copy() for part in reference.at(t))
+    def free(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> None:
         V[:, 3:] = A[:, 3:] = 0.0
-        return T, V, A
 
-    return Reference(function, reference.duration, position_only=True, name=reference.name)
+    return _changed(reference, free, True)
 
 
 def scaled(reference: Reference, factor: float) -> Reference:
     """Return the same path with the distances from its start multiplied by `factor`; rotations do not change."""
     origin = reference.at(0.0)[0][:3, 3]
 
-    def function(t: np.ndarray) -> Any:
-        T, V, A = (part.copy() for part in reference.at(t))
+    def scale(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> None:
         T[:, :3, 3] = origin + factor * (T[:, :3, 3] - origin)
         V[:, :3] *= factor
         A[:, :3] *= factor
-        return T, V, A
 
-    return Reference(function, reference.duration, position_only=reference.position_only, name=reference.name)
+    return _changed(reference, scale, reference.position_only)
+
+
+def _changed(reference: Reference, change: Callable, position_only: bool) -> Reference:
+    """Return a reference whose poses, twists and accelerations `change` has changed in place."""
+
+    def function(t: np.ndarray) -> Any:
+        samples = tuple(part.copy() for part in reference.at(t))
+        change(*samples)
+        return samples
+
+    return Reference(function, reference.duration, position_only=position_only, name=reference.name)
 
 
 def smaller(found: Survey) -> list[float]:
@@ -185,8 +204,8 @@ def smaller(found: Survey) -> list[float]:
     if not found.until or found.turning:
         return []
     reached = float(found.stop / found.along[-1])
-    within = float(np.floor(100.0 * SHORTER * reached) / 100.0)
-    return sorted({within, *(size for size in SIZES if not within < size <= reached)} - {0.0}, reverse=True)
+    within = float(np.floor(100.0 * SURVEY.shorter * reached) / 100.0)
+    return sorted({within, *(size for size in SURVEY.sizes if not within < size <= reached)} - {0.0}, reverse=True)
 
 
 def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
@@ -226,7 +245,7 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
             works.append(words)
     elsewhere = other_start(robot, reference, **options)
     if elsewhere is not None:
-        works.append(f"from q0 = [{', '.join(f'{x:{DIGITS}}' for x in elsewhere)}]")
+        works.append(f"from q0 = [{', '.join(f'{x:{SURVEY.digits}}' for x in elsewhere)}]")
     tried = f"; it works {', or '.join(works)}" if works else ""
     return found, f"{'The path is ' if found.until else 'Of the path, '}{found.message}{tried}."
 
@@ -240,7 +259,7 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
     U, sigma, V = np.linalg.svd(J)
     least = sigma.shape[1] - 1
     # Entry i of u' (dJ along v) is the derivative of sigma = u'J v by joint i: mixed derivatives commute.
-    change = _jacobians(robot, posed, path + PROBE * V[:, least] * robot.chain.unit) - J
+    change = _jacobians(robot, posed, path + SURVEY.probe * V[:, least] * robot.chain.unit) - J
     slope = np.einsum("km,kmn->kn", U[:, :, least], change)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
 
@@ -270,21 +289,21 @@ def targets_at(reference: References, t: np.ndarray) -> list[Any]:
     return [*(T[:, :3, 3].copy() if reference.position_only else T)]
 
 
-def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
+def path_samples(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return times [s] at even distances along a path, the path's length up to each, and whether the tip only turns.
 
     fewest: least number of distances. Lengths are in m, or in rad if the tip only turns.
     """
     every = _each(reference)
-    t = np.linspace(0.0, min(one.duration for one in every), DENSE + 1)
-    moved, turned = np.zeros(DENSE), np.zeros(DENSE)
+    t = np.linspace(0.0, min(one.duration for one in every), SURVEY.dense + 1)
+    moved, turned = np.zeros(SURVEY.dense), np.zeros(SURVEY.dense)
     for one in every:
         T = one.at(t)[0]
         moved = np.maximum(moved, np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))
         if not one.position_only:
             turned = np.maximum(turned, angles_between(T[1:, :3, :3], T[:-1, :3, :3]))
-    share = np.cumsum([0.0, *np.maximum(moved / (STEP[0] * robot.reach), turned / STEP[1])])
-    count = int(np.clip(np.ceil(share[-1]), fewest, MOST))
+    share = np.cumsum([0.0, *np.maximum(moved / (SURVEY.step[0] * robot.reach), turned / SURVEY.step[1])])
+    count = int(np.clip(np.ceil(share[-1]), fewest, SURVEY.most))
     chosen = np.unique(np.searchsorted(share, np.linspace(0.0, share[-1], count + 1)))
     turning = bool(moved.sum() < 1e-9)
     along = np.concatenate([[0.0], np.cumsum(turned if turning else moved)])
@@ -299,7 +318,7 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
     if k == 0:
         return 0.0
     low, high, near = 0.0, 1.0, q[k - 1]
-    for _ in range(HALVINGS):
+    for _ in range(SURVEY.halvings):
         middle = 0.5 * (low + high)
         found = then(targets_at(reference, np.array([t[k - 1] + middle * (t[k] - t[k - 1])]))[0], near)
         low, high, near = (middle, high, found.q) if found.success else (low, middle, near)
@@ -309,7 +328,7 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
 def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
     """Return the names of the joints that are within a thousandth of their range of a limit, at q (n,)."""
     span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
-    near = np.minimum(q - robot.lower, robot.upper - q) <= BOUNDARY * span
+    near = np.minimum(q - robot.lower, robot.upper - q) <= SURVEY.boundary * span
     return tuple(name for name, hit in zip(robot.joint_names, near, strict=True) if hit)
 
 

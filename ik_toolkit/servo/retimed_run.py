@@ -11,41 +11,53 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..kernel.limits import LIMIT
 from ..motion.reference import Reference, checked
-from ..motion.time_law import coordinate_at, smoothed, time_law, times_of
+from ..motion.time_law import coordinate_at, evenly, resampled, smoothed, time_law, times_of
 from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
-from .path_reach import bound_search, samples_of, singular_sides, targets_at
-from .singular_step import SIDE
+from .path_reach import bound_search, path_samples, singular_sides, targets_at
+from .singular_step import WEAK
 from .target_stream import samples_from
 from .tracker import Tracker
 from .workspace import Samples, new_record
 
-QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-SPEED = 0.98  # share of the speed limits that a time law uses, because a run differs a little from the planned motion
-# Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
-ACCELERATION = (0.95, 0.88, 0.8, 0.6)
-TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
-FASTER = 5  # how often a time law's limits are raised after a run that kept to the reference
-JOINTS, TIP = 1.2, 1.5  # A raise multiplies joint limits (if redundant) and the allowed tip error by these factors.
-FAR_OFF = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
-ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
-NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed
-LEAST = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
-HELPED = 0.8  # Another run is tried only if the last run missed at most this share of what the run before it missed.
-FOLLOWED = 0.2  # error of a step, as a share of the tolerance, while a joint path is computed
-FEWEST = 400  # least number of steps in which a joint path is computed
-HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
-POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
-MOST_POSES = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
-# [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples do not look like accelerations
-EXACT = 1e-6
-STRIDE = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
-LEAD = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
-SLOWEST = 0.02  # least rate of the reference's clock near obstacles
-RUNAWAY = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
-AT_ONCE = 20_000  # number of steps between two checks for Ctrl-C
+
+class Retiming(NamedTuple):
+    """What the time law of a run may use, which other runs are tried, and how the joint path for it is found."""
+
+    quick: float = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
+    # share of the speed limits that a time law uses, because a run differs a little from the planned motion
+    speed: float = 0.98
+    # shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed
+    acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
+    tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
+    faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
+    joints: float = 1.2  # factor of a raise on the joint limits of redundant robots
+    tip: float = 1.5  # factor of a raise on the allowed tip error
+    far_off: float = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
+    enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
+    near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
+    least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
+    # Another run is tried only if the last one missed at most this share of what the one before it missed.
+    helped: float = 0.8
+    followed: float = 0.2  # error of a step, as a share of the tolerance, while a joint path is computed
+    fewest: int = 400  # least number of steps in which a joint path is computed
+    # [1/s] gains of limit avoidance, tried if the default gain leads into limits
+    harder: tuple[float, ...] = (10.0, 30.0)
+    poses: int = 40  # least number of poses that must all be in reach before `solve_path` is called
+    most_poses: int = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
+    # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
+    exact: float = 1e-6
+    stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
+    lead: float = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
+    slowest: float = 0.02  # least rate of the reference's clock near obstacles
+    runaway: float = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
+    at_once: int = 20_000  # number of steps between two checks for Ctrl-C
+
+
+RETIME = Retiming()
 NOWHERE = np.zeros((0, 0))
 
 
@@ -108,6 +120,9 @@ class Run:
         self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` samples `fine` more densely
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
+        weights, _, _ = tracker._settings.counts
+        self.counted = weights > 0.0  # (m,) which errors count
+        self.redundant = tracker.robot.n > self.counted.sum()
         self.made: list[Taken] = []
         self.interrupted = False
 
@@ -118,7 +133,7 @@ class Run:
         """
         tracker = self.tracker
         # This takes no step, but compiles (or loads) the loop, so that the reported time is only that of tracking.
-        tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RUNAWAY)
+        tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RETIME.runaway)
         tracker.put_back(self.start)
         began = time.perf_counter()
         try:
@@ -134,8 +149,9 @@ class Run:
 
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
-        limits, here = self.tracker._limits, Way(self.times, NOWHERE, *self._wishes())
-        from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
+        secondary, moves = self.tracker.secondary, bool(self.own.V[0].any())
+        here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
+        from_rest = moves and at_rest(self.tracker) and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
@@ -145,72 +161,63 @@ class Run:
             if min(taken.missed for taken in self.made) == 0:
                 return
 
-    def _at_rest(self) -> bool:
-        """Return whether the joints are at rest at the start."""
-        return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
-
     def _slowly(self, way: Way, from_rest: bool) -> None:
         """Take runs along time laws for a joint path, with less and less acceleration until one succeeds; then try faster ones."""
         top, start, last = self._clear(way), 0.0 if from_rest else np.inf, np.inf
-        for share in ACCELERATION:
+        for share in RETIME.acceleration:
             clock = self._law(way, share, top, start)
             taken = self._take(clock, samples_along(self.references, clock), way)
             if taken.missed == 0:
                 self._faster(way, share, top, start)
-            if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
+            if taken.missed == 0 or taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # The next law uses the path that the joints took.
-                way = way._replace(
-                    Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
-                )
-            again = share < ACCELERATION[0]
-            if again or self._excess(taken.E).max() < FAR_OFF:
+                way = way._replace(Q=resampled(way.s, clock.s[moved], taken.Q[moved]))
+            again = share < RETIME.acceleration[0]
+            if again or self._excess(taken.E).max() < RETIME.far_off:
                 self._lower(top, way, taken)
             last = taken.missed if again else np.inf
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
         """Take runs along faster time laws, whose limits are raised, while the runs keep to the reference."""
         over, before = 1, self.made[-1].clock.s
-        for _ in range(FASTER):
+        for _ in range(RETIME.faster):
             clock = self._law(way, share, top, start, over)
             if (len(clock.s), -clock.s[-1]) >= (len(before), -before[-1]):
                 return
             taken = self._take(clock, samples_along(self.references, clock), way)
             if taken.missed == 0:
                 over, before = over + 1, clock.s
-            elif self._excess(taken.E).max() < FAR_OFF:
+            elif self._excess(taken.E).max() < RETIME.far_off:
                 self._lower(top, way, taken)
             else:
                 return
 
     def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
         """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with the square of that rate."""
-        excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
+        excess, near, clock = self._excess(taken.E), round(RETIME.near / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
             here = slice(*np.searchsorted(way.s, ends))
-            top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
-
-    def _wishes(self) -> tuple[float, np.ndarray]:
-        """Return the caller's gain [1/s] of limit avoidance, and posture with its gain (2, n)."""
-        secondary = self.tracker.secondary
-        return secondary.avoid, secondary.wish[:2].copy()
+            top[here] = np.minimum(top[here], np.sqrt(max(RETIME.enough / excess[k], RETIME.least)) * clock.rate[k])
 
     def _ways(self, here: Way) -> Iterator[Way]:
         """Yield joint paths along the reference, best first."""
         # Each step of the run is divided into `parts`, so many that the error of a part is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
-        parts = max(-(-FEWEST // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / FOLLOWED))))
+        parts = max(
+            -(-RETIME.fewest // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
+        )
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
         found: list[tuple[int, int, Way]] = []  # number of samples missed, number of steps, path
-        for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
+        for way in (here, *(self._besides(here) if plain and self.redundant else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
-            found.append((off, len(self._law(way, ACCELERATION[0], np.ones(len(s)), np.inf).s), way))
+            found.append((off, len(self._law(way, RETIME.acceleration[0], np.ones(len(s)), np.inf).s), way))
             if found[0][:2] == (0, self.count + 1):
                 break
         found.sort(key=lambda one: one[:2])
@@ -223,30 +230,26 @@ class Run:
         if found[0][0] > 0:
             yield found[0][2]
 
-    def _redundant(self) -> bool:
-        """Return whether there are more joints than task coordinates."""
-        return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
-
     def _besides(self, here: Way) -> Iterator[Way]:
         """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
-        lower, upper = self.tracker._limits[:2]
+        lower, upper = self.tracker._limits[[LIMIT.lowest, LIMIT.highest]]
         bounded = np.isfinite(upper - lower)
-        for avoid in HARDER:
+        for avoid in RETIME.harder:
             yield here._replace(avoid=avoid)
         middle = np.where(bounded, 0.5 * (lower + upper), 0.0)
         yield here._replace(posture=np.stack([middle, np.where(bounded, POSTURE, 0.0)]))
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
         """Return the joint path (K + 1, n) of the method without speed and acceleration limits, and how many samples it misses."""
-        limits = self.tracker._limits
+        limits, state = self.tracker._limits, self.tracker._state
         self._begin(way)
-        fast = limits[2:].copy()
-        limits[2:] = np.inf
-        if self.tracker._state[laws.STATE.start] == laws.GIVEN:
-            self.tracker._state[laws.STATE.start] = laws.MOVING
+        kept = limits.copy()
+        limits[[LIMIT.speed, LIMIT.acceleration]] = np.inf
+        if state[laws.STATE.start] == laws.GIVEN:
+            state[laws.STATE.start] = laws.MOVING
         made: list = []
         self._steps(samples, way, made, Counter())
-        limits[2:] = fast
+        limits[:] = kept
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
         off[: int(np.argmin(np.append(off, False)))] = False  # Misses while the reference is approached do not count.
@@ -258,46 +261,37 @@ class Run:
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
         reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
         anywhere = bound_search(robot, **self.counts)
-        if not all(
-            anywhere(one, self.q0).success for one in targets_at(reference, samples_of(robot, reference, POSES)[0])
-        ):
+        targets = targets_at(reference, path_samples(robot, reference, RETIME.poses)[0])
+        if not all(anywhere(one, self.q0).success for one in targets):
             return None
         from ..paths.solve_path import solve_path
 
-        some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), MOST_POSES)).astype(int))
+        some = evenly(len(samples.T), RETIME.most_poses)
         poses = samples.T[some, :, :3, 3] if self.references[0].position_only else samples.T[some]
         found = solve_path(
             robot, robot.for_tips({tip: poses[:, f] for f, tip in enumerate(robot.tips)}), q0=self.q0, reconfigurations="none",
-            max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
+            max_step=RETIME.stride, position_tolerance=RETIME.exact, orientation_tolerance=RETIME.exact, **self.counts,
         )  # fmt: skip
-        every = np.arange(len(samples.T))
-        return (
-            np.stack([np.interp(every, some, one) for one in found.q.T / unit[:, None]], axis=1)
-            if found.success
-            else None
-        )
+        return resampled(np.arange(len(samples.T)), some, found.q / unit) if found.success else None
 
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
         """Return the fastest clock along a joint path, with rates up to top (K + 1,), and up to `start` at its beginning.
 
-        share: part of the acceleration limits to use; over: how many times the limits are multiplied by JOINTS and TIP.
+        share: part of the acceleration limits to use; over: how many times the limits are raised (RETIME.joints, RETIME.tip).
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        more = JOINTS**over if self._redundant() else 1.0
-        speed, most = more * SPEED * limits[2], more * share * limits[3]
+        more = RETIME.joints**over if self.redundant else 1.0
+        speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share * limits[LIMIT.acceleration]
         # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
-            allowed = np.tile(
-                np.repeat(2.0 * TOLERANCE * TIP**over * self.tolerances / self.dt**2, 3), len(self.references)
-            )
-            counted = self.tracker._settings.counts[0] > 0.0
-            speed = np.append(speed, np.full(len(counted), np.inf))
-            most = np.append(most, np.where(counted, allowed, np.inf))
-        rate, joint = time_law(slope, bend, s, speed, most, top=top, gain=QUICK, start=start)
+            allowed = np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3)
+            speed = np.append(speed, np.full(len(self.counted), np.inf))
+            most = np.append(most, np.where(self.counted, np.tile(allowed, len(self.references)), np.inf))
+        rate, joint = time_law(slope, bend, s, speed, most, top=top, gain=RETIME.quick, start=start)
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
         steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
@@ -314,13 +308,13 @@ class Run:
         if guard is None:
             return rates
         slope = np.gradient(way.Q, way.s, axis=0) * unit
-        some = np.unique(np.linspace(0, len(rates) - 1, min(len(rates), FEWEST)).astype(int))
+        some = evenly(len(rates), RETIME.fewest)
         for k in some:
             guard.restart(way.Q[k] * unit)
             r = guard.rows(way.Q[k] * unit, slope[k], self.dt)
             nearer = guard.A[:r] @ slope[k]
             least = np.min(guard.b[:r][nearer > 0.0] / nearer[nearer > 0.0], initial=1.0)
-            rates[k] = max(SPEED * least, SLOWEST) if least < 1.0 else 1.0
+            rates[k] = max(RETIME.speed * least, RETIME.slowest) if least < 1.0 else 1.0
         return np.interp(way.s, way.s[some], rates[some])
 
     def _begin(self, way: Way) -> None:
@@ -335,7 +329,7 @@ class Run:
         """Run from the start to the end of a clock, or until Ctrl-C; return the run."""
         began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         if way.led:
-            path = np.stack([np.interp(clock.s, way.s, one) for one in way.Q.T], axis=1)
+            path = resampled(clock.s, way.s, way.Q)
             robot, posed = self.tracker.robot, [not one.position_only for one in self.references]
             way = way._replace(Q=path, sides=singular_sides(robot, posed, path * robot.chain.unit))
         self._begin(way)
@@ -352,17 +346,17 @@ class Run:
         If way.led, the steps follow the joint path of `way`, which is then given at the samples.
         """
         tracker, count, k = self.tracker, len(samples.T) - 1, 0
-        most, ended = 1 if tracker.one_by_one or way.led else AT_ONCE, False
+        most, ended = 1 if tracker.one_by_one or way.led else RETIME.at_once, False
         while not ended:
             steps = min(most, count - k)
             if way.led:
                 move = way.Q[k + 1] - way.Q[k]
-                tracker.secondary.wish[:] = way.Q[k], np.full(len(move), LEAD / self.dt), move / self.dt
+                tracker.secondary.wish[:] = way.Q[k], np.full(len(move), RETIME.lead / self.dt), move / self.dt
                 tracker._carried.away[:] = way.sides[k + 1]
-                tracker._state[laws.STATE.near] = 1.0 + SIDE
+                tracker._state[laws.STATE.near] = 1.0 + WEAK.side
             now = samples if steps == count else samples_from(*(one[k : k + steps + 1] for one in samples[1:4]))
             record = new_record(steps + 1, tracker.robot.n, samples.V.shape[1])
-            done = tracker.take(now, self.dt, record, runaway=RUNAWAY)
+            done = tracker.take(now, self.dt, record, runaway=RETIME.runaway)
             if tracker._between:
                 pairs[tracker._between] += 1
             k += done
@@ -398,3 +392,8 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]
     return samples_from(np.stack([one[0] for one in made], axis=1), V * rate, A * rate**2 + V * gain)
+
+
+def at_rest(tracker: Tracker) -> bool:
+    """Return whether the joints start at rest: their rates are given, and 0."""
+    return bool(tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any())

@@ -35,7 +35,7 @@ from .result import (
     settling,
     verdict,
 )
-from .retimed_run import Run, Taken
+from .retimed_run import Run, Taken, at_rest
 from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
@@ -141,8 +141,7 @@ def track(
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
-    at_rest = tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any()
-    settle = settling(settle, at_rest, times[-1])
+    settle = settling(settle, at_rest(tracker), times[-1])
     tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
     tolerances = tuple(np.where(first_level(tracker), tolerances, np.inf))

@@ -4,110 +4,57 @@ singular_step.py explains how joints move along such a direction, and has the fo
 direction, decides which directions leave the task, and stores the results.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ..compile.jit import compiled, inline, inner
+from ..kernel.limits import LIMIT
 from ..kernel.records import copy
+from ..kernel.vectors import clear, dot
 from .laws import CV, REGION, STATE, natural
-from .null_space_motion import STEP, reflect
+from .null_space_motion import bend
 from .singular_step import (
     ALONG,
     BESIDE,
     BOTH,
-    SIDE,
     WEAK,
     begin_bent,
     bent_direction,
     bring_along,
     mode_direction,
     mode_moved,
-    mode_part,
     mode_probe,
-    part_along,
-    rest_of,
     way_along,
 )
 from .viability import approach
 
-GAIN = 2.0 / 3.0  # share of an error that methods without a gain feed back per sample; it is the best one for method cv
 BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
-
-
-@inline
-def bend(task, look, s, weighed):
-    """Write (dJ/dt along s.x1) s.x2 to s.bias (m,), multiplied by the weights of the errors if `weighed`."""
-    if task.plain():
-        task.bending(look, s.x1, s.x2, s.bias)
-    else:
-        by_difference(task, s)
-    if weighed:
-        for k in range(s.bias.shape[0]):
-            s.bias[k] *= s.weight[k]
-
-
-@inline
-def by_difference(task, s):
-    """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
-    size = 0.0
-    for i in range(s.x1.shape[0]):
-        size = max(size, abs(s.x1[i]))
-    for k in range(s.bias.shape[0]):
-        s.bias[k] = 0.0
-    if size > 0.0:
-        for sign in (1.0, -1.0):
-            for i in range(s.x1.shape[0]):
-                s.probe[i] = s.at[i] + sign * STEP / size * s.x1[i]
-            task.stand(s.probe)
-            task.jacobian(task.see())
-            for k in range(s.bias.shape[0]):
-                for i in range(s.x1.shape[0]):
-                    s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
-    reflect(s.flip, s.bias)
-    for k in range(s.bias.shape[0]):
-        if s.weight[k] == 0.0:
-            s.bias[k] = 0.0
-
-
-@inner
-def forget_default(state, away):
-    """Set away (n,), the side from which joints came, to zero before the first singular pose, where it is only a default."""
-    if state[STATE.near] == 0.0:
-        for i in range(away.shape[0]):
-            away[i] = 0.0
 
 
 @inner
 def remember(state, near, beyond, h):
-    """Note in `state` whether the pose is singular (near), and for SIDE [s] that a target was out of reach (beyond)."""
+    """Note in `state` whether the pose is singular (near), and for WEAK.side [s] that a target was out of reach (beyond)."""
     if near:
-        state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
+        state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
     elif state[STATE.near] != 0.0:
         state[STATE.near] = BEFORE
 
 
-@inner
-def copy_column(source, target, k):
-    """Copy a vector into a column: target[:, k] = source."""
-    for i in range(source.shape[0]):
-        target[i, k] = source[i]
-
-
 @inline
 def begin_mode(s, r, free, way, away):
-    """Write the joint direction of singular direction r to column r of V; return False if there is none.
+    """Write the joint direction of singular direction r to row r of V; return False if there is none.
 
     In that case direction r is marked as removed from the task (s.lost). free: whether the direction of most curved tip motion will
     be looked for; then s.x1 receives the direction at which `bent_direction` needs its gradient. way: the tip motion asked for;
     away: see `mode_speed`.
     """
-    there = mode_direction(s.W, s.sv, r, away, way, s.x1)
-    copy_column(s.x1, s.V, r)
+    there = mode_direction(s.W, s.sv, r, away, way, s.V[r])
     if not there:
         s.lost[r], s.xk[r] = 1.0, 0.0
     elif free:
-        begin_bent(s.W, s.V, s.sv, r, away, s.x1)
+        begin_bent(s.W, s.V[r], s.sv, r, away, s.x1)
     return there
 
 
@@ -116,14 +63,14 @@ def probe_mode(s, r, part, rate, h):
     """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
 
     part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
-    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (column r of V), or 0 for the gradient.
+    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (row r of V), or 0 for the gradient.
     """
     n = rate.shape[0]
     if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
-        for i in range(n):
-            s.x2[i] = 1.0 if i == part + n else 0.0
+        clear(s.x2)
+        s.x2[part + n] = 1.0
         return 0.0
-    own = mode_probe(s.V, r, rate, part, h, s.x1)
+    own = mode_probe(s.V[r], rate, part, h, s.x1)
     copy(s.x1, s.x2)
     return own
 
@@ -131,7 +78,7 @@ def probe_mode(s, r, part, rate, h):
 @inline
 def note_curve(s, r, part):
     """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
-    curved = mode_part(s.U, r, s.bias)
+    curved = dot(s.U[r], s.bias, s.bias.shape[0])
     i = part + s.null.shape[0]
     if part >= 0:
         s.t[part] = curved
@@ -154,14 +101,13 @@ class WeakMode(NamedTuple):
 
 
 @inline
-def fastest_along(V, r, limits):
-    """Return the highest speed and acceleration along joint direction V_r (column r of V) that all limits allow."""
+def fastest_along(v, limits):
+    """Return the highest speed and acceleration along the joint direction v (n,) that all limits allow."""
     cap, a = np.inf, np.inf
-    for i in range(V.shape[0]):
-        v = abs(V[i, r])
-        if v > 0.0:
-            cap = min(cap, limits[2, i] / v)
-            a = min(a, limits[3, i] / v)
+    for i in range(v.shape[0]):
+        if v[i] != 0.0:
+            cap = min(cap, limits[LIMIT.speed, i] / abs(v[i]))
+            a = min(a, limits[LIMIT.acceleration, i] / abs(v[i]))
     return cap, a
 
 
@@ -174,14 +120,14 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
     now if that is not known. Returns whether the target is out of reach along this direction now.
     """
-    r, V, left, moved = mode.r, s.V, mode.error, mode.moved
+    r, v, left, moved = mode.r, s.V[mode.r], mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]
-    cap, a = fastest_along(V, r, limits)
+    cap, a = fastest_along(v, limits)
     grows = np.sign(b)  # 1 or -1: direction along V_r in which the singular value grows
     clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
-    back = part_along(V, r, away)
+    back = dot(v, away, v.shape[0])
     if abs(back) < WEAK.known and clear:
-        bring_along(V, r, away, grows, 1.0)
+        bring_along(v, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
     # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
@@ -205,7 +151,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
         x = min(max(x, -most), most)
     x = min(max(x, -cap), cap)
     if clear and not edge:
-        bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
+        bring_along(v, away, grows, min(h / WEAK.side, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
     bent = abs(b * E) > WEAK.bent * mode.sigma * mode.sigma
     if mode.sigma < WEAK.lost or bent or abs(E) > h * cap * mode.sigma:
@@ -221,24 +167,25 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state
-    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
+    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), WEAK.gain / h)
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
             continue
-        if not near and s.sv[r] > WEAK.clear:
-            forget_default(state, away)
+        if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
+            clear(away)  # Before the first singular pose the side from which joints came is only a default.
         near = True
-        left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
+        left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
         free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
         if not begin_mode(s, r, free, moved + h * gain * left, away):
             continue
         for part in range(-n if free else 0, 3):
             if part == ALONG and free:
-                thin = bent_direction(s.W, s.V, s.sv, r, s.null)
+                thin = bent_direction(s.W, s.V[r], s.sv, r, s.null)
             speed = probe_mode(s, r, part, rate, h)
             bend(task, look, s, True)
             note_curve(s, r, part)
-        rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
+        others = math.sqrt(max(dot(s.e, s.e, m) - left * left, 0.0))  # the error along all other directions
+        rest = heavy * others if state[STATE.near] == 1.0 + WEAK.side else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
         # Motion along the rest of the gradient, across the replaced direction, is damped as in `hold_back`.

@@ -23,12 +23,11 @@ from typing import NamedTuple
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from ..kernel.null_space import is_wide
+from ..kernel.records import copy
+from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .laws import gram
 
-CLOSE = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
-# [s] The side from which the joints came to a singular pose is remembered for this time, which is longer than an oscillation.
-SIDE = 0.2
 
 
 class Weak(NamedTuple):
@@ -55,6 +54,11 @@ class Weak(NamedTuple):
     # Errors below this share of another error, which cannot be closed, are closed with damping.
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
+    side: float = 0.2  # [s] for which the side from which the joints came is remembered; longer than an oscillation
+    gain: float = (
+        2.0 / 3.0
+    )  # share of an error fed back per sample by methods without a gain; the best one for method cv
+    close: float = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 
 
 WEAK = Weak()
@@ -68,34 +72,18 @@ def modes(J, near, W, U, sigma):
     last call, which save rotations (zeros at first); it receives the new u_k, normalised.
     """
     n, m = J.shape
-    known = False
-    for c in range(m):
-        known = known or near[0, c] != 0.0
+    known = any_of(near[0])
     for r in range(m):
         for c in range(m):
             U[r, c] = near[r, c] if known else 1.0 if r == c else 0.0
         for i in range(n):
-            W[r, i] = 0.0
-            for c in range(m):
-                W[r, i] += U[r, c] * J[i, c]
-    make_rows_orthogonal(W, U, sigma, 0, m, n)
+            W[r, i] = dot(J[i], U[r], m)
+    make_rows_orthogonal(W, U, sigma)
     for r in range(m):
         sigma[r] = math.sqrt(sigma[r])
-        size = 0.0
+        size = math.sqrt(dot(U[r], U[r], m))
         for c in range(m):
-            size += U[r, c] * U[r, c]
-        for c in range(m):
-            near[r, c] = U[r, c] / math.sqrt(size)
-
-
-@inner
-def begin_anew(slack, near):
-    """Forget the u_k of the last call if an error has slack: when it leaves the task, its axis must be a direction of its own."""
-    some = False
-    for k in range(slack.shape[0]):
-        some = some or slack[k] > 0.0
-    for k in range(slack.shape[0]):
-        near[0, k] = 0.0 if some else near[0, k]
+            near[r, c] = U[r, c] / size
 
 
 @inner
@@ -107,16 +95,8 @@ def leave_modes(W, sigma, r, x):
     m, n = W.shape
     for c in range(m):
         if c != r and sigma[c] > WEAK.zero:
-            part = 0.0
-            for i in range(n):
-                part += W[c, i] * x[i]
-            part /= sigma[c] * sigma[c]
-            for i in range(n):
-                x[i] -= part * W[c, i]
-    size = 0.0
-    for i in range(n):
-        size += x[i] * x[i]
-    return math.sqrt(size)
+            add_multiple(x, -dot(W[c], x, n) / (sigma[c] * sigma[c]), W[c], n)
+    return math.sqrt(dot(x, x, n))
 
 
 @inner
@@ -125,8 +105,7 @@ def lost_direction(W, sigma, away, v):
 
     Returns False if nothing is left of `away`.
     """
-    for i in range(v.shape[0]):
-        v[i] = away[i]
+    copy(away, v)
     leave_modes(W, sigma, -1, v)
     # A second projection removes the rounding of the first; twice is enough (Kahan).
     size = leave_modes(W, sigma, -1, v)
@@ -136,36 +115,27 @@ def lost_direction(W, sigma, away, v):
 
 
 @inner
-def part_along(V, r, x):
-    """Return the component of x (n,) along the joint direction V_r (column r of V, a unit vector)."""
-    part = 0.0
-    for i in range(x.shape[0]):
-        part += V[i, r] * x[i]
-    return part
+def bring_along(v, x, value, share):
+    """Move the component of x (n,) along the joint direction v (n,) towards `value`, by a share of the difference."""
+    n = x.shape[0]
+    add_multiple(x, share * (value - dot(v, x, n)), v, n)
 
 
 @inner
-def bring_along(V, r, x, value, share):
-    """Move the component of x (n,) along V_r (column r of V) towards `value`, by a share of the difference."""
-    own = part_along(V, r, x)
-    for i in range(x.shape[0]):
-        x[i] += share * (value - own) * V[i, r]
+def mode_probe(v, rate, part, h, x):
+    """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along v (n,).
 
-
-@inner
-def mode_probe(V, r, rate, part, h, x):
-    """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along V_r.
-
-    part: ALONG for V_r itself (column r of V); BESIDE for the joints' move in a step of h [s] without its part along V_r; BOTH for
-    the sum of these two.
+    part: ALONG for v itself; BESIDE for the joints' move in a step of h [s] without its part along v; BOTH for the sum of
+    these two.
     """
-    own = part_along(V, r, rate)
-    for i in range(x.shape[0]):
-        x[i] = 0.0
-        if part != ALONG:
-            x[i] += h * (rate[i] - own * V[i, r])
-        if part != BESIDE:
-            x[i] += V[i, r]
+    n = x.shape[0]
+    own = dot(v, rate, n)
+    clear(x)
+    if part != ALONG:
+        add_multiple(x, h, rate, n)
+        add_multiple(x, -h * own, v, n)
+    if part != BESIDE:
+        add_multiple(x, 1.0, v, n)
     return own
 
 
@@ -198,36 +168,16 @@ def way_along(sigma, b, E, own, side, home, h):
 
 
 @inner
-def mode_part(U, r, vector):
-    """Return the component of a task vector (m,) along the task direction u_r (row r of U)."""
-    part = 0.0
-    for c in range(vector.shape[0]):
-        part += U[r, c] * vector[c]
-    return part
-
-
-@inner
-def rest_of(e, part):
-    """Return the length of an error e (m,) without its component `part` along one direction."""
-    size = 0.0
-    for c in range(e.shape[0]):
-        size += e[c] * e[c]
-    return math.sqrt(max(size - part * part, 0.0))
-
-
-@inner
-def mode_moved(U, r, e, ahead, f, h):
-    """Return the target's motion along u_r (row r of U) in a step of h [s].
+def mode_moved(u, e, ahead, f, h):
+    """Return the target's motion along the task direction u (m,) in a step of h [s].
 
     It is the difference between the errors ahead and e. If the error is large, it is h times the twist f instead, since
     large rotations do not add like vectors.
     """
-    size = 0.0
-    for c in range(e.shape[0]):
-        size += e[c] * e[c]
-    if size > CLOSE * CLOSE:
-        return h * mode_part(U, r, f)
-    return mode_part(U, r, ahead) - mode_part(U, r, e)
+    m = e.shape[0]
+    if dot(e, e, m) > WEAK.close * WEAK.close:
+        return h * dot(u, f, m)
+    return dot(u, ahead, m) - dot(u, e, m)
 
 
 @inner
@@ -236,28 +186,25 @@ def mode_direction(W, sv, r, away, way, v):
 
     For sigma_r near 0 it is `away` (n,) without what moves the tip, and there is none unless a tip motion `way` is asked for.
     """
+    clear(v)
     if sv[r] > WEAK.zero:
-        for i in range(v.shape[0]):
-            v[i] = W[r, i] / sv[r]
+        add_multiple(v, 1.0 / sv[r], W[r], v.shape[0])
         return True
-    for i in range(v.shape[0]):
-        v[i] = 0.0
     return abs(way) > WEAK.zero and lost_direction(W, sv, away, v)
 
 
 @inner
-def begin_bent(W, V, sigma, r, away, x):
-    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or V_r."""
-    for i in range(x.shape[0]):
-        x[i] = away[i]
+def begin_bent(W, v, sigma, r, away, x):
+    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or v (n,)."""
+    copy(away, x)
     size = leave_modes(W, sigma, r, x)
     for i in range(x.shape[0]):
-        x[i] = x[i] / size if size > WEAK.known else V[i, r]
+        x[i] = x[i] / size if size > WEAK.known else v[i]
 
 
 @inner
-def bent_direction(W, V, sigma, r, slope):
-    """Make V_r the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
+def bent_direction(W, v, sigma, r, slope):
+    """Make v (n,) the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
 
     If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
     to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
@@ -267,10 +214,10 @@ def bent_direction(W, V, sigma, r, slope):
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
         return sigma[r]
-    own = part_along(V, r, slope)
+    own = dot(v, slope, v.shape[0])
     sign = 1.0 if own >= 0.0 else -1.0
     for i in range(slope.shape[0]):
-        V[i, r] = sign * slope[i] / size
+        v[i] = sign * slope[i] / size
     return sigma[r] * abs(own) / size
 
 
@@ -278,19 +225,16 @@ def bent_direction(W, V, sigma, r, slope):
 def take_out(J, W, U, V, lost, f, G):
     """Remove the task directions marked in lost (m,) from J and the twist f; return how many were removed.
 
-    G receives the factor of the rest of J for `apply`.
+    G receives the factor of the rest of J for `laws.apply`.
     """
     n, m = J.shape
     count = 0
     for r in range(m):
         if lost[r] > 0.0:
             count += 1
-            part = mode_part(U, r, f)
-            for c in range(m):
-                f[c] -= part * U[r, c]
+            add_multiple(f, -dot(U[r], f, m), U[r], m)
             for i in range(n):
-                for c in range(m):
-                    J[i, c] -= W[r, i] * U[r, c]
+                add_multiple(J[i], -W[r, i], U[r], m)
     wide = is_wide(J, m)
     k = m if wide else n
     gram(J, m, wide, 0.0, G)
@@ -298,7 +242,7 @@ def take_out(J, W, U, V, lost, f, G):
         if lost[r] > 0.0:
             for c in range(k):
                 for d in range(c + 1):
-                    G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
+                    G[c, d] += U[r, c] * U[r, d] if wide else V[r, c] * V[r, d]
     if not wide:  # Otherwise a joint that moves nothing would make the matrix singular.
         for c in range(k):
             G[c, c] += WEAK.nothing
@@ -313,18 +257,14 @@ def by_modes(J, W, U, lost, ask, y):
     An error of weight 0 keeps a direction of its own if `modes` began without the directions of another task.
     """
     n, m = J.shape
-    some = False
-    for r in range(m):
-        some = some or lost[r] > 0.0
-    if not some:
+    if not any_of(lost):
         return
+    copy(ask, y)
     for r in range(m):
-        y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, ask)
-    for r in range(m):
-        ask[r] = y[r]
-    for i in range(n):
-        for r in range(m):
-            J[i, r] = 0.0 if lost[r] > 0.0 else W[r, i]
+        kept = 0.0 if lost[r] > 0.0 else 1.0
+        ask[r] = kept * dot(U[r], y, m)
+        for i in range(n):
+            J[i, r] = kept * W[r, i]
 
 
 @inner
@@ -337,15 +277,14 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
     motion of a target that passes beyond the edge is shrunk, too, as the closest pose moves less. more (m,) is scratch.
     """
     m = lost.shape[0]
-    for r in range(m):
-        more[r] = 0.0
+    clear(more)
     for first in range(0, m, 6):
         tip, left = range(first, min(first + 6, m)), 0.0
         for c in tip:
             part = 0.0
             for r in range(m):
                 if lost[r] > 0.0:
-                    part += mode_part(U, r, e) * U[r, c]
+                    part += dot(U[r], e, m) * U[r, c]
             left += part * part
         for r in range(m):
             for c in tip:
@@ -355,9 +294,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
             extra = bend * math.sqrt(more[r])
             share = extra / (sigma[r] * sigma[r] + extra)
             for vector in (e, ahead, f):
-                part = share * mode_part(U, r, vector)
-                for c in range(vector.shape[0]):
-                    vector[c] -= part * U[r, c]
+                add_multiple(vector, -share * dot(U[r], vector, m), U[r], m)
 
 
 @inner
@@ -365,7 +302,7 @@ def along_lost(V, lost, xk, x, speeds):
     """Set the components of the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
-            bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
+            bring_along(V[r], x, xk[r] if speeds > 0.0 else 0.0, 1.0)
 
 
 @inner
@@ -376,15 +313,17 @@ def down_slopes(W, V, sigma, pull, x, speeds):
     pull (m,): rates per unit of slope_k; if pull[k] is 0, the rates stay. The change is faded in while sigma_k grows from half of
     WEAK.lost to WEAK.lost.
     """
+    n = x.shape[0]
     for r in range(pull.shape[0]):
         share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)
         if pull[r] == 0.0 or share <= 0.0:
             continue
-        own, size, part = part_along(V, r, W[r]), 0.0, 0.0
-        for i in range(x.shape[0]):
-            slope = W[r, i] - own * V[i, r]
+        own, size, part = dot(V[r], W[r], n), 0.0, 0.0
+        for i in range(n):
+            slope = W[r, i] - own * V[r, i]
             size += slope * slope
             part += slope * x[i]
         if size > WEAK.zero * WEAK.zero:
-            for i in range(x.shape[0]):
-                x[i] += share * (speeds * pull[r] - part / size) * (W[r, i] - own * V[i, r])
+            more = share * (speeds * pull[r] - part / size)
+            add_multiple(x, more, W[r], n)
+            add_multiple(x, -more * own, V[r], n)

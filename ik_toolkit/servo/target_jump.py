@@ -20,19 +20,27 @@ from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
-from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
+from .viability import HELD_BACK, LIMIT, POSITION, UNKNOWN, bending, time_left, travel
 
 # A straight line of the tip is chosen if it takes at most this many times as long as the direct joint move.
 STRAIGHT = 1.2
-# number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
-POINTS = 24
-# A line that takes this many times as long as a joint move must contain a change of posture.
-TORN = 4.0
-NEAR = 2e-3  # [m] A smaller error (in which 1 rad counts as LEVER) is left to the tracking method.
-# A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
-SLOW = 0.5
-SOONER = 0.5  # The posture that moves slow joints less is taken if its move takes less than this share of the time.
-CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as finished
+
+
+class Leaping(NamedTuple):
+    """When a joint move or a straight line takes over from the tracking method, and when it gives back."""
+
+    # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
+    points: int = 24
+    torn: float = 4.0  # A line that takes this many times as long as a joint move must contain a change of posture.
+    near: float = 2e-3  # [m] A smaller error (in which 1 rad counts as LEVER) is left to the tracking method.
+    # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
+    slow: float = 0.5
+    # The posture that moves slow joints less is taken if its move takes less than this share of the time.
+    sooner: float = 0.5
+    close: float = 1e-3  # [s] time left at full joint speed below which a move counts as finished
+
+
+LEAP = Leaping()
 
 
 class Route(NamedTuple):
@@ -88,7 +96,7 @@ class Leap:
         """Give up the move (goal None) and forget the last target."""
         self.goal: np.ndarray | None = None
         self.why = Choice(straight=True, ratio=1.0)
-        self._enough = CLOSE  # [s] time left at full joint speed at which the tracking method takes over
+        self._enough = LEAP.close  # [s] time left at full joint speed at which the tracking method takes over
         self._route: Route | None = None
         self._time = 0.0  # [s] time since the move began
         self._place = np.zeros(0)  # last target that was examined
@@ -98,11 +106,11 @@ class Leap:
     def watch(self, taken: Taken) -> None:
         """Examine a step of the tracking method; set `goal` if the target jumped and the error falls too slowly."""
         T, q, limits = taken.T, taken.q, taken.limits
-        if not taken.stand[STAND.still] or taken.left < NEAR:
+        if not taken.stand[STAND.still] or taken.left < LEAP.near:
             return
         if len(self._place) and gap(T[1], self._place) <= STILL:
             return
-        if taken.left < SLOW * self.postures.size(taken.E[0]):
+        if taken.left < LEAP.slow * self.postures.size(taken.E[0]):
             return
         # A target that came here smoothly may be turning back, so the arm waits.
         if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
@@ -115,12 +123,12 @@ class Leap:
         found, _ = self.postures.find(T[1:], q[None], q, limits)
         if len(found):
             sooner, _ = self.postures.find(T[1:], q[None], q, limits, quick=True)
-            if len(sooner) and time_left(q, sooner[0], limits) < SOONER * time_left(q, found[0], limits):
+            if len(sooner) and time_left(q, sooner[0], limits) < LEAP.sooner * time_left(q, found[0], limits):
                 found = sooner
-        self._enough = max(self._patience(taken.law), CLOSE)
+        self._enough = max(self._patience(taken.law), LEAP.close)
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
-        elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= CLOSE:
+        elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= LEAP.close:
             # There is only one search for each jump, even if the target creeps on.
             taken.stand[STAND.leapt] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
@@ -129,7 +137,7 @@ class Leap:
         """Choose between a straight line and a joint move to a goal (n,), and set `self.goal` if one is possible."""
         straight = self._straight(goal, taken)
         ratio = straight.t[-1] / least_time(np.abs(goal - taken.q), taken.limits) if straight else math.inf
-        ratio = ratio if ratio < TORN else math.inf
+        ratio = ratio if ratio < LEAP.torn else math.inf
         if ratio == math.inf and not self._elsewhere:
             return
         self.goal, self._time = goal, 0.0
@@ -152,8 +160,8 @@ class Leap:
         It is None if a point of the line cannot be reached, or two of its points have the same joint values.
         """
         T, q = taken.T[1], taken.q
-        left = 1.0 - np.arange(1, POINTS) / POINTS
-        points = np.repeat(T[None], POINTS - 1, axis=0)
+        left = 1.0 - np.arange(1, LEAP.points) / LEAP.points
+        points = np.repeat(T[None], LEAP.points - 1, axis=0)
         for f, e in enumerate(taken.E[1].reshape(-1, 6)):
             points[:, f, :3, 3] -= np.outer(left, e[:3])
             points[:, f, :3, :3] = exp(np.outer(-left, e[3:])) @ T[f, :3, :3]
@@ -209,7 +217,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     It is None if two neighbouring points coincide. The path coordinate is time [s] at full speed: the length of a segment is the
     time that its slowest joint needs at that joint's speed limit, so the rate of the coordinate is at most 1.
     """
-    top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
+    top, a = speeds(limits), (1.0 - HELD_BACK) * limits[LIMIT.acceleration] / bending(gamma)
     d = np.diff(points, axis=0)
     length = (np.abs(d) / top).max(axis=1)
     if not (length > 0.0).all():
@@ -232,6 +240,6 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 def least_time(way: np.ndarray, limits: np.ndarray) -> float:
     """Return the least time [s] in which joints move by distances way (n,), from rest to rest, in limits (4, n)."""
     moves = way > 0.0
-    way, v, a = way[moves], speeds(limits)[moves], limits[3, moves]
+    way, v, a = way[moves], speeds(limits)[moves], limits[LIMIT.acceleration, moves]
     top = np.minimum(v, np.sqrt(way * a))  # peak speed of each joint before it has to brake
     return float((way / top + top / a).max(initial=0.0))

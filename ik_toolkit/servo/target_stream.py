@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.array_view import flat, view
-from ..compile.jit import cached_small, inline, inner
+from ..compile.jit import cached_small, compiled, inline, inner
 from ..copying import CopiesViews
 from ..errors import InvalidTarget, floats
 from ..kernel.algebra import M3, V3, put3
@@ -20,16 +20,29 @@ from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
-TIGHT = 1e-9  # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
 READ, CHECK, REFUSED = range(3)  # state of a target given to `arrive`: checked, still to be checked, or refused
 # results of `arrive`: accepted, to be checked in full by Python, or not finite (the last target is kept)
 TAKEN, DOUBTFUL, HELD = range(3)
 STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
-# [m/s, or rotation matrix entries per s] A target slower than this is at rest; a target that reverses is so slow only briefly.
-RESTS = 5e-4
-# [m, or rotation matrix entries] A larger change between two targets is a jump; a fast hand moves a target by a fifth of this.
-JUMP = 0.05
+
+
+@compiled
+class Arriving(NamedTuple):
+    """Thresholds by which targets are accepted, and their motion is judged."""
+
+    # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
+    tight: float = 1e-9
+    # [m/s, or rotation matrix entries per s] A slower target is at rest; a target that reverses is so slow only briefly.
+    rests: float = 5e-4
+    # [m, or rotation matrix entries] A larger change between two targets is a jump; a fast hand makes a fifth of this.
+    jump: float = 0.05
+    # Number of targets over which the longest step is remembered; gains are chosen for this step. If steps vary from 0.5 to 1.5
+    # times their mean, method ca then reduces an error to 0.59 of it in each step, with gains for each step only to 0.99.
+    recent: int = 10
+
+
+ARRIVAL = Arriving()
 
 
 class Stand(NamedTuple):
@@ -93,7 +106,7 @@ def difference(T0, T1, dt, V, first):
 
 
 @inner
-def gap(A, B, first):
+def distance_between(A, B, first):
     """Return the norm of the difference between the numbers A (K,) and those of B from index `first` on."""
     total = 0.0
     for k in range(A.shape[0]):
@@ -105,15 +118,15 @@ def gap(A, B, first):
 def look(T, stand, dt):
     """Update `stand` (5 + 16 F,), which says whether the target stands still; T (2, F, 4, 4): last two targets, dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
-    moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
-    if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
-        stand[at.leapt] = 1.0 if moved > JUMP or (stand[at.leapt] != 0.0 and moved <= most) else 0.0
+    moved, most = distance_between(now, flat(T[0]), 0), STILL * dt / WAIT
+    if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > STILL:
+        stand[at.leapt] = 1.0 if moved > ARRIVAL.jump or (stand[at.leapt] != 0.0 and moved <= most) else 0.0
         stand[at.seconds], stand[at.known] = 0.0, 1.0
         for k in range(now.shape[0]):
             stand[first + k] = now[k]
     else:
         stand[at.seconds] += dt
-    stand[at.rest] = stand[at.rest] + dt if moved <= RESTS * dt else 0.0
+    stand[at.rest] = stand[at.rest] + dt if moved <= ARRIVAL.rests * dt else 0.0
     stand[at.still] = 1.0 if moved <= most or stand[at.seconds] >= WAIT else 0.0
 
 
@@ -134,7 +147,7 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
     for f in range(T.shape[1]):
         if not abs(Ts[0, f, 0, 3]) + abs(Ts[0, f, 1, 3]) + abs(Ts[0, f, 2, 3]) < math.inf:
             held = True
-        elif how == CHECK and (posed >> f) & 1 and not rigid(Ts[0, f], TIGHT):
+        elif how == CHECK and (posed >> f) & 1 and not rigid(Ts[0, f], ARRIVAL.tight):
             return DOUBTFUL
     if held:
         copy(flat(T[0]), flat(T[1]))
@@ -162,10 +175,6 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
 
 
 FLOAT = np.dtype(np.float64)
-# Number of targets over which the longest step is remembered; gains are chosen for this step.
-# If steps vary from 0.5 to 1.5 times their mean, method ca then reduces an error to 0.59 of it in each step.
-# With gains chosen for each step it reduces the error only to 0.99.
-RECENT = 10
 KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its array
 
 
@@ -232,9 +241,9 @@ class Stream(CopiesViews):
         return done == TAKEN
 
     def _keep_pace(self, dt: float) -> None:
-        """Replace the longest time between targets after RECENT shorter ones."""
+        """Replace the longest time between targets after ARRIVAL.recent shorter ones."""
         self._second, self._count = max(self._second, dt), self._count + 1
-        if self._count >= RECENT:
+        if self._count >= ARRIVAL.recent:
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:

@@ -33,7 +33,7 @@ from .workspace import Record, Samples, carried_of, new_carried, new_record, new
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
 RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a measurement is doubted
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-LAWS_KEPT = 64  # number of step lengths h for which a method's gains are cached
+LAWS_KEPT = 64  # number of step lengths for which a method's gains are cached
 
 
 class Tracker(CopiesViews, ReadOnly):
@@ -160,7 +160,7 @@ class Tracker(CopiesViews, ReadOnly):
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.LASTING
+        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.CALMING.lasting
         self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
         for way in self._ways:
             way.begin()
@@ -312,17 +312,17 @@ class Tracker(CopiesViews, ReadOnly):
         """Write the settings that depend on the kinds of target, one per tip. Raises InvalidOption for slack in mode "clip"."""
         if self._kinds == kinds:
             return
-        self._orders, counts = self.engine.orders(kinds)
-        slacks = 2 * int((counts[1] > 0.0).sum())
+        self._orders, (weights, slack, shown) = self.engine.orders(kinds)
+        slacks = 2 * int((slack > 0.0).sum())
         if self._mode == CLIP and slacks:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
         if self._postures:
             self._postures.ready(kinds)
-        self._settings.counts[:] = counts
+        self._settings.counts[:] = weights, slack, shown
         self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
         self._carried = carried_of(self._carried.block)
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
-        posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
+        posed = tuple(weights.reshape(-1, 2, 3)[:, 1].any(axis=1).tolist())
         firm = np.array(group_levels(self.robot, self.engine.options)).reshape(-1, 2) == 0
         self._judged = Judged(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
         self._kinds = kinds

@@ -13,9 +13,6 @@ which `stopping` returns. The reason is that a braking step from v to w covers n
 distances from v and from w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a
 long last step is the worst case.) A state is viable if its stopping distance is no longer than the distance to the limit.
 `joint_box` only allows rates that lead to viable states, so no later step has to break one limit to keep another.
-
-The module also takes single steps of joints towards given values or along a known motion (`travel`), and computes the path of a
-full brake (`brake`), which must be free of contact before a step is taken.
 """
 
 import math
@@ -25,29 +22,47 @@ import numpy as np
 
 from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
+from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite.
-# RECOVERING: the joint was outside its limits. ROW: an inequality limits it, such as that of an obstacle.
-# CALMED: it oscillated, so that its acceleration was limited.
+# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite. RECOVERING: it was outside its limits.
+# ROW: an inequality limits it, such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-ROUNDING = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
-# This share of the distance to a limit is kept as a margin, for the rounding of some hundred braking steps.
-SPARE = 1e-13
 NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
-# A joint outside its limits returns at no more than this share of its speed limit, or of 1 rad/s (1 arm reach/s) if that is less.
-SHARE = 0.1
-SWING = 0.05  # Only motions faster than this share of the speed limit count when oscillation is detected.
-# A joint oscillates once it has reversed SWINGING times in a row, each time within WINDOW [s] of the last reversal. It no longer
-# counts as oscillating after HOLD [s] without a reversal.
-# For comparison: scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
-SWINGING = 2.0
-WINDOW, HOLD = 0.05, 0.1
-# [s] Oscillation is limited for this long after a limit, an inequality or a singular pose has hindered the joints.
-LASTING = 0.2
-# [1/s] The speed of an oscillating joint may grow, per second, by CALM times its speed limit plus GROWTH times its speed.
-CALM, GROWTH = 0.75, 10.0
+
+
+@compiled
+class LimitMargins(NamedTuple):
+    """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
+
+    rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
+    spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
+    # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
+    inwards: float = 0.1
+
+
+MARGIN = LimitMargins()
+
+
+@compiled
+class Calming(NamedTuple):
+    """When a joint counts as oscillating, and how it is calmed.
+
+    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
+    """
+
+    slow: float = 0.05  # Only motions faster than this share of the speed limit count.
+    reversals: float = 2.0  # so many reversals in a row make a joint oscillate
+    window: float = 0.05  # [s] longest time between two of these reversals
+    hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
+    # [s] for which joints are calmed after a limit, an inequality or a singular pose hindered them
+    lasting: float = 0.2
+    gain: float = 0.75  # [1/s] The speed of an oscillating joint may grow by this times its speed limit,
+    growth: float = 10.0  # [1/s] plus this times its speed.
+
+
+CALMING = Calming()
 
 
 @compiled
@@ -117,20 +132,20 @@ def way_to(limit, q, sign):
     way = sign * (limit - q)
     if way < -NOISE:
         return way
-    return max(way * (1.0 - SPARE) - ROUNDING * (abs(limit) + abs(q)), 0.0)
+    return max(way * (1.0 - MARGIN.spare) - MARGIN.rounding * (abs(limit) + abs(q)), 0.0)
 
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
     """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
 
-    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than SHARE of its speed limit and so
-    that it can stop at the limit.
+    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed
+    limit, and so that it can stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
     back = approach(-way, -v, gamma, h, a, late)
-    return -min(max(back, 0.0), SHARE * min(speed, 1.0))
+    return -min(max(back, 0.0), MARGIN.inwards * min(speed, 1.0))
 
 
 @dual
@@ -139,9 +154,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
     If the limits contradict each other (a start outside them, or limits that were changed), both rates are the best compromise.
     It keeps the acceleration limit first, then the speed limit, then moves back inside; its bits then include RECOVERING.
-
-    q, v: value and rate; lower, upper, speed, a: limits; gamma: weight of the next rate in the motion; h, late [s]:
-    this step and the longest later one.
+    q, v: value and rate; gamma: weight of the next rate in the motion; h, late [s]: this step and the longest later one.
     """
     bend = bending(gamma)
     a = a / bend
@@ -181,9 +194,9 @@ def boxes(q, rate, limits, gamma, h, late, box):
     """
     recovering = False
     for i in range(q.shape[0]):
-        box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
-            q[i], rate[i], limits[0, i], limits[1, i], limits[2, i], limits[3, i], gamma, h, late
-        )
+        lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
+        found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
+        box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
         recovering = recovering or (box.why_top[i] & RECOVERING) > 0
     return recovering
 
@@ -193,28 +206,26 @@ def watch(swings, rate, x, size, gamma, h):
     """Update the counts by which oscillating joints are detected, after a step from the rates `rate` to x (n,).
 
     swings (3, n), in place: number of reversals in a row, time since the last reversal [s], and sign of the last motion that
-    counts. size (n,): a speed for each joint; only motions faster than SWING times this speed count. `calm` uses the counts.
+    counts. size (n,): a speed for each joint; only motions faster than CALMING.slow times this speed count. `calm` uses the counts.
     """
+    reversals, since, last = swings[0], swings[1], swings[2]
     for i in range(x.shape[0]):
-        swings[1, i] += h
+        since[i] += h
         v = (1.0 - gamma) * rate[i] + gamma * x[i]
-        side = 0.0 if abs(v) <= SWING * size[i] else 1.0 if v > 0.0 else -1.0
-        turned = side * swings[2, i] < 0.0
+        side = 0.0 if abs(v) <= CALMING.slow * size[i] else 1.0 if v > 0.0 else -1.0
+        turned = side * last[i] < 0.0
         if side != 0.0:
-            swings[2, i] = side
+            last[i] = side
         if turned:
-            swings[0, i] += 1.0
-            swings[1, i] = 0.0
-        elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
-            swings[0, i] = 0.0
+            reversals[i] += 1.0
+            since[i] = 0.0
+        elif since[i] > (CALMING.window if reversals[i] < CALMING.reversals else CALMING.hold):
+            reversals[i] = 0.0
 
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the bounds of joint i in `box` (in place) to the rates from least to most.
-
-    If no rate is inside both, the bounds become the nearest rate.
-    """
+    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most; without such a rate, to the nearest."""
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
@@ -227,14 +238,13 @@ def narrow(i, least, most, box):
 def calm(rate, size, swings, h, box):
     """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place); braking stays free.
 
-    After each reversal the joint has to gain its speed again from rest. rate (n,): present rates; size (n,): the joints' speed
-    limits, or other speeds to compare with; swings: see `watch`. Before this limit existed, 89 of 198 random target streams
-    made joints chatter (scripts/benchmarks/servo_random.py).
+    rate (n,): present rates; size (n,): the joints' speed limits, or other speeds to compare with; swings: see `watch`.
     """
+    reversals = swings[0]
     for i in range(rate.shape[0]):
-        if swings[0, i] < SWINGING:
+        if reversals[i] < CALMING.reversals:
             continue
-        gain, more = CALM * size[i] * h, 1.0 + GROWTH * h
+        gain, more = CALMING.gain * size[i] * h, 1.0 + CALMING.growth * h
         narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, box)
 
 
@@ -269,8 +279,7 @@ def advance(q, rate, x, gamma, h, late, limits, code):
 
     If x is 0, the joints brake. code (n,) receives the bits of the limits that held each joint back.
     """
-    n = q.shape[0]
-    ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
+    ends, why = np.empty((2, q.shape[0])), np.empty((2, q.shape[0]), np.uint8)
     box = RateBox(ends[0], ends[1], why[0], why[1])
     boxes(q, rate, limits, gamma, h, late, box)
     hit = clip(x, box, code)
@@ -293,7 +302,8 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
     """
     n = q.shape[0]
     for j in range(n):
-        if limits[2, j] == 0.0 or limits[0, j] == limits[1, j] or goal[j] < limits[0, j] or goal[j] > limits[1, j]:
+        lower, upper = limits[LIMIT.lowest, j], limits[LIMIT.highest, j]
+        if limits[LIMIT.speed, j] == 0.0 or lower == upper or not lower <= goal[j] <= upper:
             return -1.0
     x = np.empty(n)
     if times.shape[0] > 0 and time < times[times.shape[0] - 1]:
@@ -306,13 +316,11 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
 
 @shared
 def time_left(q, goal, limits):
-    """Return the least time [s] in which all joints move from q to goal (n,) at full speed.
-
-    Accelerations are ignored.
-    """
+    """Return the least time [s] in which all joints move from q to goal (n,) at full speed, whatever their accelerations."""
     left = 0.0
     for j in range(q.shape[0]):
-        left = max(left, abs(goal[j] - q[j]) / (limits[2, j] if limits[2, j] < np.inf else UNLIMITED))
+        speed = limits[LIMIT.speed, j]
+        left = max(left, abs(goal[j] - q[j]) / (speed if speed < np.inf else UNLIMITED))
     return left
 
 
@@ -320,13 +328,12 @@ def time_left(q, goal, limits):
 def go_straight(q, rate, goal, gamma, h, limits, x):
     """Write to x (n,) the rates that move the joints to goal along a straight line in joint space.
 
-    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the
-    goal.
+    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the goal.
     """
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
-        way = goal[j] - q[j]
-        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, limits[3, j] / bending(gamma), h)
+        way, a = goal[j] - q[j], limits[LIMIT.acceleration, j] / bending(gamma)
+        most = approach(abs(way), rate[j] if way > 0.0 else -rate[j], gamma, h, a, h)
         x[j] = math.copysign(min(abs(way) / left if left > 0.0 else 0.0, most), way)
 
 
@@ -350,7 +357,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
         a, b = d0 + d1 - 2.0 * way, 3.0 * way - 2.0 * d0 - d1
         point, speed = ((a * f + b) * f + d0) * f + points[k - 1, j], ((3.0 * a * f + 2.0 * b) * f + d0) / piece
         missing = point - q[j] - h * ((1.0 - gamma) * rate[j] + gamma * speed)
-        most = approach(abs(missing), 0.0, 1.0, h, HELD_BACK * limits[3, j], h)
+        most = approach(abs(missing), 0.0, 1.0, h, HELD_BACK * limits[LIMIT.acceleration, j], h)
         x[j] = speed + math.copysign(min(share * abs(missing) / (gamma * h), most), missing)
 
 

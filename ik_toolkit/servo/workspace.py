@@ -196,7 +196,8 @@ class Bench(NamedTuple):
     H: Array  # (max(n, m), max(n, m)) another, damped factor
     J: Array  # (n, m) transposed Jacobian of the task
     W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
-    V: Array  # (n, m) v_k of the singular directions as columns
+    V: Array  # (m, n) v_k of the singular directions as rows
+    free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
     U: Array  # (m, m) u_k as rows
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
@@ -234,6 +235,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
+        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, (rows, n), rows,
     )))  # fmt: skip

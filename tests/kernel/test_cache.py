@@ -22,6 +22,7 @@ from ik_toolkit.compile.pipeline import PartLibrary
 from ik_toolkit.kernel.chain import forward_kinematics
 from ik_toolkit.kernel.null_space import refine
 from ik_toolkit.kernel.simd_search import lanes
+from ik_toolkit.servo.loop import servo
 
 PACKAGE = Path(ik_toolkit.__file__).parent
 ROBOTS = next(folder for folder in (PACKAGE / "urdf", PACKAGE.parent / "urdf") if folder.is_dir())
@@ -275,6 +276,12 @@ def test_files_a_rule_is_compiled_from_are_watched(tmp_path, monkeypatch):
     module = importlib.import_module("rule_of_mine")
     watched = {path.name for thing in (module.Mine, module.step) for path in cache._sources(thing)}
     assert watched == {"rule_of_mine.py", "rule_helpers.py"}
+
+
+def test_files_that_are_reached_through_an_overload_are_watched():
+    """Without them an edit of a singular direction or of the quadratic program ran the machine code of before."""
+    watched = {path.name for path in cache._sources(getattr(servo(), "py_func", servo()))}
+    assert watched >= {"loop.py", "command.py", "singular_directions.py", "singular_step.py", "hierarchical_qp.py"}
 
 
 # Three calls of one rule, each of which takes up to a millisecond: the times of a newcomer's comparison of solvers.

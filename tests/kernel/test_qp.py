@@ -22,23 +22,23 @@ def many(count):
 def kernel(C, d, want, low, high, A, b, state, y, multipliers):
     """|C y - d|^2 least, then |y - want|^2; multipliers (2, n + R) of the first and of the second, the rows' in their length."""
     n, count, r = want.shape[0], b.shape[0], d.shape[0]
-    block = np.zeros(equality_qp.problem_space(n, count + r + 1))
-    p = equality_qp.resized(equality_qp.problem_on(view(block), n, count + r + 1), n, count, r)
+    block = np.zeros(equality_qp.program_space(n, count + r + 1))
+    p = equality_qp.resized(equality_qp.program_on(view(block), n, count + r + 1), n, count, r)
     for i in range(n):
-        p.u.want[i], p.u.floor[i], p.u.roof[i], p.u.held[i] = want[i], low[i], high[i], state[i]
+        p.want[i], p.floor[i], p.roof[i], p.active[count + i] = want[i], low[i], high[i], state[i]
     for k in range(count + r):
         for i in range(n):
-            p.r.P[k, i] = A[k, i] if k < count else C[k - count, i]
-        p.r.rhs[k] = b[k] if k < count else d[k - count]
+            p.P[k, i] = A[k, i] if k < count else C[k - count, i]
+        p.rhs[k] = b[k] if k < count else d[k - count]
     for k in range(count):
-        p.r.holds[k] = state[n + k]
+        p.active[k] = state[n + k]
     end = solve_levels(p)
+    for c in range(n + count):  # the bounds of unknowns, then half-planes
+        at = count + c if c < n else c - n
+        state[c] = p.active[at]
+        multipliers[0, c], multipliers[1, c] = p.now.first[at], p.now.second[at]
     for i in range(n):
-        y[i], state[i] = p.u.y[i], p.u.held[i]
-        multipliers[0, i], multipliers[1, i] = p.u.now.first[i], p.u.now.second[i]
-    for k in range(count):
-        multipliers[0, n + k], multipliers[1, n + k] = p.r.now.first[k], p.r.now.second[k]
-        state[n + k] = p.r.holds[k]
+        y[i] = p.y[i]
     keep(block)
     return end
 

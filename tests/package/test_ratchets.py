@@ -8,11 +8,11 @@ from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
     "files outside folders that grow": 275,
-    "public names defined in two files or more": 15,
+    "public names defined in two files or more": 9,
     "file names used twice": 4,
     "functions of more than 9 parameters": 20,
-    "constants of the most laden file of kernel and servo": 24,
-    "constants of modules": 1158,
+    "constants of the most laden file of kernel and servo": 19,
+    "constants of modules": 1068,
     "uses of by_tip": 20,
     "imports for types alone": 3,
     "files under 120 lines that one other imports": 2,

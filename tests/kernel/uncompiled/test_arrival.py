@@ -5,7 +5,19 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.servo import workspace
-from ik_toolkit.servo.target_stream import CHECK, DOUBTFUL, HELD, JUMP, READ, REFUSED, STAND, STILL, TAKEN, WAIT, arrive
+from ik_toolkit.servo.target_stream import (
+    ARRIVAL,
+    CHECK,
+    DOUBTFUL,
+    HELD,
+    READ,
+    REFUSED,
+    STAND,
+    STILL,
+    TAKEN,
+    WAIT,
+    arrive,
+)
 
 
 def turned(rng, tips, angle):
@@ -101,7 +113,7 @@ def test_whether_a_target_stands():
         "before its first motion it counts as having leapt"
     )
     assert last["leapt"] and last["seconds"] == pytest.approx(0.19)
-    *_, there, after = standing([0.0, 1.5 * JUMP, 1.5 * JUMP])
+    *_, there, after = standing([0.0, 1.5 * ARRIVAL.jump, 1.5 * ARRIVAL.jump])
     assert there["leapt"] and not there["still"] and after["leapt"] and after["still"]
     steps = np.arange(40) * STILL * 0.01 / WAIT
     assert last["rest"] == pytest.approx(0.2) and after["rest"] == pytest.approx(0.01) and there["rest"] == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import damped_descent
-from ik_toolkit.servo.damped_descent import adapt, brake, descend, feedback, notice, stuck
+from ik_toolkit.servo.damped_descent import adapt, descend, feedback, notice, stop_in_time, stuck
 from ik_toolkit.servo.laws import AA, CA, CLIP, CV, STATE, Law
 from ik_toolkit.servo.viability import CALMED, POSITION, VELOCITY, approach
 
@@ -67,7 +67,7 @@ def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
     for k in range(11):
         assert not stuck(law(), s, LIMITS, 1.0, H, state), k
         noticed(state, [1.0, 0.0], [1.0, 0.0], code=at_limit)
-    assert stuck(law(), s, LIMITS, 1.0, H, state) and state[STATE.share] == damped_descent.FIRST
+    assert stuck(law(), s, LIMITS, 1.0, H, state) and state[STATE.share] == damped_descent.DESCENT.first
     assert stuck(law(), s, LIMITS, 0.25, H, state), "until the target moves, or is reached"
     assert not stuck(law(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, 1.0, H, state) and state[STATE.share] == 0.0
     assert state[STATE.stalled] == 0.0
@@ -98,7 +98,7 @@ def test_slow_joints_are_not_stuck_while_they_go_as_fast_as_they_may():
         for k in range(40):
             ever = stuck(law(), s, limits, (error - 0.002 * H * k) ** 2, H, state) or ever
             noticed(state, [0.0, 1.0], [0.0, 1.0], code=(POSITION, VELOCITY))
-        assert ever == (share < damped_descent.PACE), top
+        assert ever == (share < damped_descent.DESCENT.pace), top
 
 
 def test_what_hinders_joints():
@@ -119,7 +119,7 @@ def test_joints_that_turn_back_twice_make_it_stuck():
     noticed(state, [1.0, 0.0], [-1.0, 0.0])
     assert state[STATE.turned] == 1.0 and not stuck(law(), standing(), LIMITS, 1.0, H, state)
     noticed(state, [-1.0, 2.0], [0.05, 2.0])
-    assert state[STATE.turned] == pytest.approx(1.0 - H / damped_descent.FORGOTTEN), (
+    assert state[STATE.turned] == pytest.approx(1.0 - H / damped_descent.DESCENT.forgotten), (
         "a twentieth of the motion goes back"
     )
     state[STATE.turned] = 1.0
@@ -132,7 +132,7 @@ def test_joints_that_turn_back_twice_make_it_stuck():
     state = noticed(new_state(), [1.0, 0.0], [-1.0, 0.0])
     assert state[STATE.turned] == 0.0, "nothing hinders it"
     state = noticed(new_state(share=1.0, nearest=1.0), [1.0, 0.0], [-1.0, 0.0])
-    assert state[STATE.share] == damped_descent.TURNED
+    assert state[STATE.share] == damped_descent.DESCENT.turned
 
 
 def test_the_damping_is_found_by_trying():
@@ -146,21 +146,21 @@ def test_the_damping_is_found_by_trying():
         assert state[STATE.share] >= state[STATE.lowest]
         if k == 25:
             assert state[STATE.share] == state[STATE.lowest] > 0.3
-    assert state[STATE.share] == damped_descent.LEAST
+    assert state[STATE.share] == damped_descent.DESCENT.least
     for k in range(1000):
         adapt(False, 1.0, H, state)
         if k == 10:
-            assert state[STATE.share] == pytest.approx(2.0 * damped_descent.LEAST)
+            assert state[STATE.share] == pytest.approx(2.0 * damped_descent.DESCENT.least)
             assert state[STATE.nearest] == 1.0, "what comes next is compared with this"
-            assert state[STATE.lowest] == damped_descent.LEAST, "and does not lead back at once"
-    assert state[STATE.share] == damped_descent.MOST
+            assert state[STATE.lowest] == damped_descent.DESCENT.least, "and does not lead back at once"
+    assert state[STATE.share] == damped_descent.DESCENT.most
     adapt(True, 1.0, H, state)
-    assert state[STATE.share] == damped_descent.MOST
+    assert state[STATE.share] == damped_descent.DESCENT.most
 
 
 def bench(rng, n, m=6):
     s = SimpleNamespace(
-        J=rng.normal(size=(n, m)), V=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
+        J=rng.normal(size=(n, m)), free=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
     )
     for name in ("e", "ahead", "f", "a"):
         setattr(s, name, rng.normal(size=m))
@@ -203,7 +203,7 @@ def test_joints_can_stop_at_the_end_of_their_way(n):
     way = np.zeros(n)
     way[free] = np.linalg.solve(s.J[free] @ s.J[free].T + mu * np.eye(n - 1), slope[free])
     floor, roof = s.floor.copy(), s.roof.copy()
-    brake(s, limits, mu, H)
+    stop_in_time(s, limits, mu, H)
     for i in range(n):
         most = approach(abs(way[i]), 0.0, 1.0, H, 5.0, H) if i != 1 else np.inf
         assert s.roof[i] == pytest.approx(min(roof[i], most)) and s.floor[i] == pytest.approx(max(floor[i], -most))

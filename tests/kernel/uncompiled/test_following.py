@@ -81,9 +81,9 @@ def test_errors_are_brought_back_by_half_planes_where_these_can_be_kept():
         planes = np.zeros((4, 3)), np.zeros(4)
         assert null_space_motion.slack_rows(slack, bench(np.ones(2), J, *v, *planes), 0, 0.1, state) == count
         assert J[:, 0].any() == (count == 2)
-    assert state[STATE.pressed] == null_space_motion.PRESSED
+    assert state[STATE.pressed] == null_space_motion.SLACK.pressed
     null_space_motion.slack_rows(slack, bench(np.ones(2), J, *np.zeros((4, 2)), *planes), 0, 0.03, state)
-    assert state[STATE.pressed] == pytest.approx(null_space_motion.PRESSED - 0.03)
+    assert state[STATE.pressed] == pytest.approx(null_space_motion.SLACK.pressed - 0.03)
 
 
 def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
@@ -94,7 +94,9 @@ def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
         old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
         slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2)), pressed(0.05)
         assert null_space_motion.slack_rows(slack, bench(weight, J, e, f, ahead, a, *planes), 0, 0.1, state) == 0
-        assert state[STATE.pressed] == null_space_motion.PRESSED  # for as long as it is outside, and somewhat longer
+        assert (
+            state[STATE.pressed] == null_space_motion.SLACK.pressed
+        )  # for as long as it is outside, and somewhat longer
         left[0][1] -= sign * 0.2
         left[2][1] -= sign * 0.2
         np.testing.assert_array_equal(J, old)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ik_toolkit.kernel.search import SINGULAR_STEP
-from ik_toolkit.servo import command, laws, loop, singular_directions, viability
+from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
 from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
 from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.servo.viability import HELD
@@ -23,7 +23,7 @@ def scratch(rng, n=7, m=6):
         G=np.zeros((n, n)),
         y=np.empty(n),
         t=np.empty(m),
-        V=np.zeros((n, m)),
+        V=np.zeros((m, n)),
         W=np.zeros((m, n)),
         sv=np.zeros(m),
         pull=np.zeros(m),
@@ -175,13 +175,13 @@ def test_curvature_by_differences():
     s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
     n = rng.normal(size=3)
     s.flip = (n / np.linalg.norm(n))[None]
-    singular_directions.by_difference(task, s)
+    null_space_motion.by_difference(task, s)
     want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
     want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
     want[2] = 0.0
     np.testing.assert_allclose(s.bias, want, atol=1e-8)
     s.x1[:] = 0.0
-    singular_directions.by_difference(task, s)
+    null_space_motion.by_difference(task, s)
     np.testing.assert_array_equal(s.bias, 0.0)
 
 
@@ -214,8 +214,6 @@ def test_a_step_of_a_rule():
     command.by_rule(*args)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
-    singular_directions.copy_column(np.arange(3.0), out, 1)
-    np.testing.assert_array_equal(out, [[0, 0], [0, 1], [0, 2]])
     command.copy_rows(np.arange(6.0).reshape(3, 2), out)
     np.testing.assert_array_equal(out, np.arange(6.0).reshape(3, 2))
 
@@ -238,6 +236,6 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
             loop.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
         swings[0, 0] = 3.0
         loop.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
-        gain = viability.CALM * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
+        gain = viability.CALMING.gain * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
         assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
         assert (swings[2] == 1.0).all()

@@ -139,7 +139,7 @@ def test_poses_are_brought_back_onto_their_targets():
     null_space.onto_target(p, np.ones(chain.n), near, 0.0)
     assert np.all(np.abs(p.desk.q - q / chain.unit) <= 0.03 + 1e-15)
     out = np.array([0.5, -0.5, 0.0])
-    null_space.move(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
+    null_space.add_inside(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
     np.testing.assert_allclose(out, [0.7, -0.7, 0.5])
 
 

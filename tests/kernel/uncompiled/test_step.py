@@ -160,17 +160,17 @@ def test_signs_and_shares_of_multipliers():
         assert hierarchical_qp.share(*(equality_qp.Pair(*np.array(one)[:, None]) for one in (now, new)), 0, 1) == want
     now, new = (equality_qp.Pair(*np.array(one)[:, None]) for one in ((0.0, -2.0), (0.0, 2.0)))
     assert hierarchical_qp.share(now, new, 0, -1) == (0.5, 0.0)
-    p = equality_qp.problem_on(np.zeros(equality_qp.problem_space(2, 1)), 2, 1)
+    p = equality_qp.program_on(np.zeros(equality_qp.program_space(2, 1)), 2, 1)
     p = equality_qp.resized(p, 2, 1, 0)
-    p.r.P[0], p.r.rhs[0], p.u.floor[:], p.u.roof[:] = 1.0, 1.8, -1.0, 1.0
-    for y, want in (((0.5, 1.4), (1, 1)), ((-1.4, 0.5), (0, -1)), ((0.95, 0.95), (2, 1))):
-        p.u.y[:] = y
+    p.P[0], p.rhs[0], p.floor[:], p.roof[:] = 1.0, 1.8, -1.0, 1.0
+    for y, want in (((0.5, 1.4), (2, 1)), ((-1.4, 0.5), (1, -1)), ((0.95, 0.95), (0, 1))):
+        p.y[:] = y
         assert hierarchical_qp.violated(p) == want
-    p.r.holds[0] = 1
+    p.active[0] = 1
     assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0)
-    p.u.roof[:], p.u.y[:] = (1e9, 0.0), (1e4, 3e-12)
+    p.roof[:], p.y[:] = (1e9, 0.0), (1e4, 3e-12)
     assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0), "the rounding of a large unknown"
-    p.u.y[1] = 3e-8
-    assert hierarchical_qp.violated(p) == (1, 1)
-    p.u.y[:] = 0.5, 3e-12
-    assert hierarchical_qp.violated(p) == (1, 1)
+    p.y[1] = 3e-8
+    assert hierarchical_qp.violated(p) == (2, 1)
+    p.y[:] = 0.5, 3e-12
+    assert hierarchical_qp.violated(p) == (2, 1)

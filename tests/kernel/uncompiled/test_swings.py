@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.servo.viability import CALM, CALMED, GROWTH, RECOVERING, SWINGING, RateBox, calm, watch
+from ik_toolkit.servo.viability import CALMED, CALMING, RECOVERING, RateBox, calm, watch
 
 
 def test_joints_that_turn_back_often_swing():
@@ -23,7 +23,7 @@ def test_joints_that_turn_back_often_swing():
     assert turned(0.0, 0.0) == [0.0, 1.0], "each row ends by itself"
     for k in range(3):
         assert turned(-((-1.0) ** k), 0.0)[0] == k + 1.0
-    assert turned(-1.0, 0.0, h=0.09)[0] > SWINGING
+    assert turned(-1.0, 0.0, h=0.09)[0] > CALMING.reversals
     assert turned(-1.0, 0.0, h=0.02)[0] == 0.0, "a swing ends later"
 
 
@@ -58,8 +58,8 @@ def test_a_calm_box_is_a_part_of_the_box():
         top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
         floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
         swings = np.array([rng.integers(0, 5, 4), np.zeros(4), np.zeros(4)])
-        code, more = why.copy(), 1.0 + GROWTH * h
-        gain = np.where(swings[0] < SWINGING, np.inf, CALM * size * h)
+        code, more = why.copy(), 1.0 + CALMING.growth * h
+        gain = np.where(swings[0] < CALMING.reversals, np.inf, CALMING.gain * size * h)
         calm(rate, size, swings, h, RateBox(floor, roof, *code))
         for least in (rate, 0.0 * rate):  # what changes least, and rest
             near = np.clip(least, low, top)
