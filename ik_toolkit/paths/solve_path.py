@@ -154,14 +154,15 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # with some rotations of 180 degrees reversed, fewer may be possible
         search.progress(0.9, "shortening and verifying the path")
-        tried = [search]
-        if wanted is None and search.found.breaks and len(search.problem.T) > len(T):
-            tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
-            tried[1].run()  # Near a singular pose a motion may keep the path tolerance without the inserted poses.
-            bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
-            search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
-        results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
-        made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
+        made = _result(search, allowed, step, tolerance, model, seed, began)
+        if wanted is None and made.reconfigurations and len(search.problem.T) > len(T):
+            # Near a singular pose a motion may keep the path tolerance without the inserted poses.
+            other = fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max()))
+            other.run()
+            bounds = [one.lower_bound for one in (search, other) if one.lower_bound is not None]
+            search.lower_bound = other.lower_bound = min(1, *bounds) if len(bounds) == 2 else None
+            results = [_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other)]
+            made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
         return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
     except KeyboardInterrupt:
         if search.found is None:
