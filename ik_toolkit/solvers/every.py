@@ -25,7 +25,6 @@ from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
 SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
-PART = 1024  # number of targets whose solutions are listed in one call of compiled code
 APART = 1e-6  # solutions are the same if no joint differs by more [rad]; with a free position each is found twice
 
 
@@ -39,8 +38,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         plain = type(target) is np.ndarray and target.dtype == np.float64 and target.shape[1:] == solver._pose == (4, 4)
         ready: list[Solutions | None] = [None] * len(target)
         plan = _plan_for(solver, POSES)
-        for a in range(0, len(target) if plain else 0, PART):
-            ready[a : a + PART] = _certain(plan, target[a : a + PART], q0, count)
+        for a in range(0, len(target) if plain else 0, 1024):  # so many take 5 MB
+            ready[a : a + 1024] = _certain(plan, target[a : a + 1024], q0, count)
         each = zip(target, ready, strict=True)
         return SolutionsBatch([_find(solver, one, q0, starts, count, all_turns, found) for one, found in each])
     return _find(solver, target, q0, starts, count, all_turns)
@@ -174,22 +173,10 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> list[Solutions |
             each.append(None)
             continue
         certificate = certificate_of(notes)
-        message = f"{certificate.solutions} branches"
-        if plan.options.limits:
-            message = f"{kept} of {message} are inside the limits"
-        errors = rows[:, 0], rows[:, 1]
-        each.append(
-            Solutions(
-                robot,
-                rows[:, 3:],
-                rows[:, 2],
-                errors,
-                True,
-                plan.row.name,
-                message,
-                certificate=certificate,
-            )  # fmt: skip
-        )
+        words = f"{certificate.solutions} branches"
+        words = f"{kept} of {words} are inside the limits" if plan.options.limits else words
+        made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
+        each.append(Solutions(robot, *made, True, plan.row.name, words, certificate=certificate))
     return each
 
 

@@ -1,4 +1,4 @@
-"""Whole paths: problems from CppFlow and in the style of TORM, a pipe, two arms, true minima (random and planted paths), memory, cost against length.
+"""Whole paths: problems from CppFlow and in the style of TORM, a pipe, two arms, true minima, memory, cost against length.
 
 python scripts/benchmarks/path.py
 
@@ -159,9 +159,9 @@ def tables(made: dict[str, Any]) -> list[str]:
         ]
         for one in made["sizes"]
     ]
+    counts = ("what", "paths", "equal", "more", "fewer")
     truth = [
-        [*(one[what] for what in ("what", "paths", "equal", "more", "fewer")), *map(common.short, (one["processor"], one["longest"]))]
-        for one in made["truth"]
+        [*map(one.get, counts), common.short(one["processor"]), common.short(one["longest"])] for one in made["truth"]
     ]
     head = [
         "problem",
@@ -174,7 +174,7 @@ def tables(made: dict[str, Any]) -> list[str]:
         "shortest known",
     ]
     cost = ["poses", "processor, s", "with obstacles", "memory, MB"]
-    least = ["task", "paths", "as few reconfigurations as there can be", "more", "fewer", "processor, s, median", "most"]
+    least = ["task", "paths", "as few as there can be", "more", "fewer", "processor, s, median", "most"]
     return [
         "### Problems\n\n" + common.table(head, problems),
         "### Cost against length\n\n" + common.table(cost, sizes),

@@ -1,4 +1,4 @@
-"""The fewest reconfigurations of random paths: by an enumeration that shares only the robot's dimensions with the toolkit, or planted.
+"""The fewest reconfigurations of paths: by an enumeration that shares only the robot's dimensions with the toolkit, or planted.
 
 A planted path is a smooth joint motion of the arm within its limits, given as poses: no reconfiguration is needed.
 """
@@ -236,10 +236,10 @@ def found(robot: Any, poses: np.ndarray, seed: int) -> tuple[int | None, float]:
 
 def summary(pairs: list[tuple[int, int | None, float]]) -> dict[str, Any]:
     """How often the toolkit's number equals the true least, is above it (or there is no path), or below it; times [s]."""
-    more = sum(made is None or made > least for least, made, _ in pairs)
-    fewer = sum(made is not None and made < least for least, made, _ in pairs)
-    times = {"processor": float(np.median([one[2] for one in pairs])), "longest": max(one[2] for one in pairs)}
-    return {"paths": len(pairs), "equal": len(pairs) - more - fewer, "more": more, "fewer": fewer, **times, "pairs": pairs}
+    counts = [-1 if made is None else int(np.sign(least - made)) for least, made, _ in pairs]
+    said = {"equal": counts.count(0), "more": counts.count(-1), "fewer": counts.count(1)}
+    times = [one[2] for one in pairs]
+    return {"paths": len(pairs), **said, "processor": float(np.median(times)), "longest": max(times), "pairs": pairs}
 
 
 PLANTED = {

@@ -211,6 +211,28 @@ def test_a_singular_pose_is_a_family_or_has_merged_solutions():
     assert families and merged
 
 
+def test_a_batch_lists_what_single_targets_do():
+    """Also where a list is not certain, at a singular pose, and where the target is out of reach."""
+    robot, rng = robots.load("hydrolek_7w"), np.random.default_rng(4)
+    solver, T = ik.Solver(robot), [robot.fk(robot.random_q(rng)).homogeneous for _ in range(6)]
+    T.insert(2, robot.fk(fold(robot, robot.home, 2)).homogeneous)
+    T[4][0, 3] += 9.0
+    for q0 in (None, robot.random_q(rng)):
+        many = solver.all(np.array(T), q0)
+        assert len(many) == 7 and set(many.complete) == {True, False}
+        for k, pose in enumerate(T):
+            one = solver.all(pose, q0)
+            assert np.array_equal(many[k].q, one.q) and many[k].to_dict() == one.to_dict()
+            near = robot.home if q0 is None else q0
+            assert (
+                np.allclose(one.distance, np.linalg.norm(one.q - near, axis=1)) and (np.diff(one.distance) >= 0).all()
+            )
+    assert [len(one) for one in solver.all(np.array(T), count=1)] == [min(len(solver.all(pose)), 1) for pose in T]
+    T[3][0, 3] = np.nan
+    with pytest.raises(ik.IKError):
+        solver.all(np.array(T))
+
+
 def test_rotations_with_few_digits_are_solved_too():
     robot, rng = robots.load("hydrolek_7w"), np.random.default_rng(17)
     for q in robots.sample(robot, 5, seed=18)[0]:

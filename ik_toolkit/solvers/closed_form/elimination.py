@@ -23,7 +23,6 @@ from .polish import list_branches
 
 # Least distance of the axes from a common point, as a share of the reach; smaller, rounding of a pose would be magnified too much.
 LEAST_SIZE = 1e-4
-NEAR = Notes._fields.index("near")
 
 
 class Certificate(NamedTuple):
@@ -117,7 +116,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
         return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
     certificate = certificate_of(found[0].tolist())
-    count, near = certificate.solutions, int(found[0, NEAR])
+    count, near = certificate.solutions, int(found[0, 7])
     rest = None if near < 0 else found[1 + count : 1 + count + near, :N].copy()
     rows = found[1 : 1 + count]
     return Said(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
@@ -140,7 +139,9 @@ def list_certain(rows, ends, opt, T, found, box, table, counts):
     """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_branches` does.
 
     Args:
-        rows, ends, opt: geometry and options as in `list_branches`.
+        rows: geometry of the chain, as for `list_branches`.
+        ends: limits of the chain, likewise.
+        opt: options, likewise.
         T: (N, 4, 4) targets [m].
         found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
