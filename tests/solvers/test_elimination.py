@@ -42,6 +42,9 @@ def arm_of(kind, seed, scale=1.0):
         kind == "symmetric"
     ):  # Axes 1 and 2 meet, there is a wrist, and no joint tells the two solutions of the shoulder apart.
         points = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]], float)
+    if kind == "offset wrist":  # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
+        axes = np.array([[0, 0, 1], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, -1, 0], [-1, 0, 0]], float)
+        points = np.array([[0, 0, 0], [0, 0, 245], [0, 0, 785], [0, 0, 785], [540, 0, 785], [0, -150, 785]]) / 1000.0
     T = np.eye(4)
     T[:3, 3] = scale * (points[5] + 0.1)
     return make_arm(axes, scale * points, T)
@@ -90,7 +93,7 @@ def fold(robot, q, joint):
 
 # ----------------------------------------------------------------------------------------------------- solutions and verdicts
 @pytest.mark.parametrize(("kind", "most_open"), [
-    ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8),
+    ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8), ("offset wrist", 1),
 ])  # fmt: skip
 def test_planted_solutions_are_listed_and_certified(kind, most_open):
     Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (100, 6))
@@ -119,7 +122,7 @@ def test_two_ways_to_read_the_loop_give_the_same_solutions(kind):
     assert both > 50
 
 
-@pytest.mark.parametrize("kind", ["general", "parallel shoulder", "wrist", "right angles", "symmetric"])
+@pytest.mark.parametrize("kind", ["general", "parallel shoulder", "wrist", "right angles", "symmetric", "offset wrist"])
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
     """Joints at half a turn, lattices of right angles, and wrists that are straight or almost so."""
