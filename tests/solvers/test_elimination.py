@@ -42,7 +42,9 @@ def arm_of(kind, seed, scale=1.0):
         kind == "symmetric"
     ):  # Axes 1 and 2 meet, there is a wrist, and no joint tells the two solutions of the shoulder apart.
         points = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]], float)
-    if kind == "offset wrist":  # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
+    if (
+        kind == "offset wrist"
+    ):  # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
         axes = np.array([[0, 0, 1], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, -1, 0], [-1, 0, 0]], float)
         points = np.array([[0, 0, 0], [0, 0, 245], [0, 0, 785], [0, 0, 785], [540, 0, 785], [0, -150, 785]]) / 1000.0
     T = np.eye(4)
