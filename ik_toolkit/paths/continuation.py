@@ -78,18 +78,24 @@ class Guided(NamedTuple):
 
 
 @spliced
-def advance_to_pose(p, o, weights, path, t, u, old, new):
+def advance_to_pose(p, o, weights, path, t, u, last, old, new):
     """Continue p.desk.q from a solution of pose number t to a solution of pose u, in steps that are halved where they fail.
 
-    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`. old (n,) and new (n,) are scratch. Returns
-    False if no continuous motion was found.
+    Where the whole step fails, it is first tried from where the motion leads that came from `last`, so that it keeps its direction
+    through a singular pose; beside that, the solution nearest to q may turn back.
+
+    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`; last (n,): the solution of the pose before,
+    or what q is if there is none. old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
     """
     q, pose, deviation = p.desk.q, path.pose, path.deviation
     a, b = flat(path.T[t]), flat(path.T[u])
     copy(q, old)
-    done, part = 0.0, 1.0
+    done, part, onwards = 0.0, 1.0, False
     while done < 1.0:
         part = min(part, 1.0 - done)
+        if onwards:
+            for i in range(q.shape[0]):
+                q[i] = min(max(2.0 * old[i] - last[i], path.box.lower(i)), path.box.upper(i))
         blend(a, b, done + part, flat(pose))
         fine = p.aim(pose, o) == 0.0
         if fine:
@@ -112,7 +118,8 @@ def advance_to_pose(p, o, weights, path, t, u, old, new):
             part *= 2.0
         else:
             copy(old, q)
-            part *= 0.5
+            onwards = part == 1.0 and not onwards
+            part *= 1.0 if onwards else 0.5
             if part < SHORTEST:
                 return False
     return True
@@ -153,18 +160,19 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
     for m in range(seeds.shape[0]):
         start, k = at[m], columns[m]
         span[k, 0], span[k, 1] = start, start
+        for i in range(n):
+            Q[start, k, i] = seeds[m, i]
         for way in (-1, 1):
             copy(seeds[m], q)
             t = start
             while 0 <= t + way < N:
-                if not advance_to_pose(p, o, weights, path, t, t + way, old, new):
+                last = Q[t if t == start else t - way, k]
+                if not advance_to_pose(p, o, weights, path, t, t + way, last, old, new):
                     break
                 t += way
                 for i in range(n):
                     Q[t, k, i] = q[i]
             span[k, 0 if way < 0 else 1] = t
-        for i in range(n):
-            Q[start, k, i] = seeds[m, i]
 
 
 MOST = 300  # largest number of tracks (continued solutions) for a redundant robot, to bound time and memory

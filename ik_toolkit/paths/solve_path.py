@@ -120,8 +120,7 @@ def solve_path(
     robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
-    asked = avoided(avoid_collisions)
-    model = None if asked is False else collision_model(robot, asked)
+    model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
     wanted, places = None, None
     if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
@@ -154,14 +153,15 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # with some rotations of 180 degrees reversed, fewer may be possible
         search.progress(0.9, "shortening and verifying the path")
-        tried = [search]
-        if wanted is None and search.found.breaks and len(search.problem.T) > len(T):
-            tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
-            tried[1].run()  # Near a singular pose a motion may keep the path tolerance without the inserted poses.
-            bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
-            search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
-        results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
-        made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
+        made = _result(search, allowed, step, tolerance, model, seed, began)
+        settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
+        if wanted is None and (search.found.breaks or not settled) and len(search.problem.T) > len(T):
+            # Near a singular pose a motion may keep the path tolerance without the inserted poses.
+            other = fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max()))
+            other.run()
+            _share_bound(search, other)
+            both = (_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other))
+            made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
         return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
     except KeyboardInterrupt:
         if search.found is None:
@@ -171,6 +171,12 @@ def solve_path(
             search.link()
         partial = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
         raise PathInterrupted(_against(partial, wanted)) from None
+
+
+def _share_bound(search: Search, other: Search) -> None:
+    """Keep of two searches' proven bounds what holds with and without the inserted poses."""
+    bounds = [one.lower_bound for one in (search, other) if one.lower_bound is not None]
+    search.lower_bound = other.lower_bound = min(1, *bounds) if len(bounds) == 2 else None
 
 
 def _silent(share: float, words: str) -> None:

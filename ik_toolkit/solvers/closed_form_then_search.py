@@ -163,7 +163,6 @@ def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float)
         rows[better, place] = found[better, place]
     taken = solved | open_
     rows[taken, AT.status] = found[taken, AT.status]
-    rows[taken, AT.excess] = found[taken, AT.excess]
-    rows[solved, AT.excess] = SEARCHED
+    rows[taken, AT.excess] = np.where(found[:, AT.status] == UNREACHABLE, found[:, AT.excess], SEARCHED)[taken]
     rows[:, COUNTS] = counts
     out[failed] = rows

@@ -11,7 +11,7 @@ from ..kernel.counted_error import AXIS, POSITION
 from ..kernel.kinematics import TAU
 from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
-from .closed_form.elimination import into_limits, solutions_of
+from .closed_form.elimination import certificate_of, into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
 from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
@@ -35,15 +35,38 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
-        return SolutionsBatch([find_all(solver, one, q0, starts, count, all_turns) for one in target])
-    T, kinds, notice = _read(solver, target)
+        plain = type(target) is np.ndarray and target.dtype == np.float64 and target.shape[1:] == solver._pose == (4, 4)
+        ready: list[Solutions | None] = [None] * len(target)
+        plan = _plan_for(solver, POSES)
+        for a in range(0, len(target) if plain else 0, 1024):  # so many take 5 MB
+            ready[a : a + 1024] = _certain(plan, target[a : a + 1024], q0, count)
+        each = zip(target, ready, strict=True)
+        return SolutionsBatch([_find(solver, one, q0, starts, count, all_turns, found) for one, found in each])
+    return _find(solver, target, q0, starts, count, all_turns)
+
+
+def _plan_for(solver: Any, kinds: tuple) -> Plan:
+    """Return the plan that lists solutions for targets of these kinds: for 'auto' and poses the elimination's, if there is one."""
     plan = solver.plan_for(kinds)
+    if solver.name == "auto" and kinds == POSES and not plan.row.closed:
+        return elimination_plan(plan) or plan
+    return plan
+
+
+def _find(
+    solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool, found: Solutions | None = None
+) -> Solutions:
+    """Find Solutions of one target, for which `_certain` has listed those `found` (None: not yet, or it cannot)."""
+    T, kinds, notice = _read(solver, target) if found is None else (target[None], POSES, "")
+    plan = _plan_for(solver, kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
-    if solver.name == "auto" and kinds == POSES and not plan.row.closed:
-        plan = elimination_plan(plan) or plan
-    found, sliced = None, ""
-    if plan.row.closed:
+    if found is None and kinds == POSES:
+        (found,) = _certain(plan, T, q0, count)
+    sliced = ""
+    if found is not None:
+        pass
+    elif plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     elif solver.name == "auto" and o.priority is None:
         found = listed_with_free_turns(plan, T, kinds, start, count)
@@ -126,6 +149,35 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
         box = np.vstack([lower, upper, robot.home, 1.0 / robot.chain.unit**2])
         kept[kinds] = (opt, opt[WEIGHTS + robot.n :], box)
     return kept[kinds]
+
+
+def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> list[Solutions | None]:
+    """Return for each pose T (N, 4, 4) what `_listed` returns, in less time; None if its list is not certain or longer than count.
+
+    The plan is the elimination's; for other plans all are None.
+    """
+    if not hasattr(plan.rule, "certain"):
+        return [None] * len(T)
+    robot = plan.robot
+    opt, p, box = _prepared(plan, POSES)
+    if q0 is not None:
+        box = box.copy()
+        box[2] = plan.check_start(q0)[0]
+    table, counts, found = plan.rule.certain(plan.chain, p, opt, T, box)
+    each: list[Solutions | None] = []
+    at = 0
+    for kept, notes in zip(counts.tolist(), found[:, 0].tolist(), strict=True):
+        rows = table[at : at + max(kept, 0)]
+        at += len(rows)
+        if not 0 <= kept <= count:
+            each.append(None)
+            continue
+        certificate = certificate_of(notes)
+        words = f"{certificate.solutions} branches"
+        words = f"{kept} of {words} are inside the limits" if plan.options.limits else words
+        made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
+        each.append(Solutions(robot, *made, True, plan.row.name, words, certificate=certificate))
+    return each
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:

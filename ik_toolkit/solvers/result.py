@@ -216,11 +216,12 @@ class Result(ReadOnly):
     def proven(self) -> bool:
         """Whether a failure is a proof that no joint values within the limits reach the target.
 
-        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`); an
-        unreachable target is also proven by a bound from the link lengths.
+        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`). A
+        target is also proven unreachable by a bound from the link lengths, and blocked by a closed form that fits exactly, unless
+        it leaves a prismatic joint free.
         """
         row = self._of.row
-        return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan.row.closed))
+        return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan))
 
     @property
     def blocked(self) -> Blocked | None:

@@ -30,6 +30,19 @@ class Solutions(ReadOnly):
         solver, message: Name of the solver, and one sentence.
     """
 
+    robot: Robot
+    q: np.ndarray
+    distance: np.ndarray
+    position_error: np.ndarray
+    orientation_error: np.ndarray | None
+    branches: np.ndarray | None
+    found_by: tuple[str, ...]
+    complete: bool
+    certificate: Any
+    families: tuple[Family, ...]
+    solver: str
+    message: str
+
     def __init__(
         self,
         robot: Robot,
@@ -45,17 +58,11 @@ class Solutions(ReadOnly):
         certificate: Any = None,
     ) -> None:
         """Store the arrays and texts."""
-        self.robot = robot
-        self.q = q
-        self.distance = distance
-        self.position_error, self.orientation_error = errors
-        self.complete = complete
-        self.solver = solver
-        self.message = message
-        self.families = families
-        self.branches = branches
-        self.certificate = certificate
-        self.found_by = (solver,) * len(q) if found_by is None else found_by
+        self._put(
+            robot=robot, q=q, distance=distance, position_error=errors[0], orientation_error=errors[1], complete=complete,
+            solver=solver, message=message, families=families, branches=branches, certificate=certificate,
+            found_by=(solver,) * len(q) if found_by is None else found_by,
+        )  # fmt: skip
         self._seal()
 
     def __len__(self) -> int:

@@ -1,10 +1,16 @@
-"""The fewest reconfigurations of random paths, by an enumeration that shares only the robot's dimensions with the toolkit."""
+"""The fewest reconfigurations of paths: by an enumeration that shares only the robot's dimensions with the toolkit, or planted.
+
+A planted path is a smooth joint motion of the arm within its limits, given as poses: no reconfiguration is needed.
+"""
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
+from time import process_time
 from typing import Any
 
 import numpy as np
+from path_problems import DATA
 
 import ik_toolkit as ik
 
@@ -12,6 +18,7 @@ STEP = np.radians(7.0)
 FINER = 10  # poses enumerated for each pose the toolkit gets: near a fold a branch moves far from pose to pose
 GRID = np.radians(0.5)
 TURN = 2.0 * np.pi
+SMALL, SLIDE = np.radians(2.0), 0.0057  # [rad], [m] largest step of a joint from pose to pose of a planted path
 REACH = 2.0  # [rad] distance of a line's ends in each joint: few lines between arbitrary poses stay in reach
 Solutions = Callable[[np.ndarray], np.ndarray]
 
@@ -81,8 +88,8 @@ def compare_planar_poses(paths: int, seed: int) -> dict[str, Any]:
             continue
         least = fewest([solve(target) for target in targets])
         if least is not None:
-            made = ik.solve_path(robot, np.array([pose(target) for target in targets[::FINER]]), seed=len(pairs))
-            pairs.append((least, len(made.reconfigurations) if made.success else None))
+            poses = np.array([pose(target) for target in targets[::FINER]])
+            pairs.append((least, *found(robot, poses, len(pairs))))
     return summary(pairs)
 
 
@@ -100,8 +107,7 @@ def compare_planar_positions(paths: int, seed: int) -> dict[str, Any]:
         least = fewest(layers)
         if least is not None:
             points = np.column_stack([targets[:, :2], np.full(len(targets), robot.fk(np.zeros(3)).translation[2])])
-            made = ik.solve_path(robot, points, seed=len(pairs))
-            pairs.append((least, len(made.reconfigurations) if made.success else None))
+            pairs.append((least, *found(robot, points, len(pairs))))
     return summary(pairs)
 
 
@@ -197,18 +203,50 @@ def compare_ur5(paths: int, seed: int) -> dict[str, Any]:
             continue
         least = fewest([solve(T) for T in poses])
         if least is not None:
-            made = ik.solve_path(robot, poses[:: FINER // 2], seed=len(pairs))
-            pairs.append((least, len(made.reconfigurations) if made.success else None))
+            pairs.append((least, *found(robot, poses[:: FINER // 2], len(pairs))))
     return summary(pairs)
 
 
-def summary(pairs: list[tuple[int, int | None]]) -> dict[str, Any]:
-    """How often the toolkit's number equals the enumerated one, is above it (or there is no path), or below it."""
-    more = sum(made is None or made > least for least, made in pairs)
-    fewer = sum(made is not None and made < least for least, made in pairs)
-    return {"paths": len(pairs), "equal": len(pairs) - more - fewer, "more": more, "fewer": fewer, "pairs": pairs}
+# ------------------------------------------------------------------------------------------------------------- planted
+def planted(robot: Any, rng: np.random.Generator) -> np.ndarray:
+    """Poses (N, 4, 4) of a cubic Bezier curve between two random configurations, with two more as control points."""
+    controls = robot.random_q(rng, 4)
+    s = np.linspace(0.0, 1.0, 2001)[:, None]
+    q = np.hstack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s * s * (1 - s), s**3]) @ controls
+    moves = np.abs(np.diff(q, axis=0)) / np.where(robot.slides, SLIDE, SMALL)
+    way = np.append(0.0, np.cumsum(moves.max(axis=1)))
+    at = np.interp(np.linspace(0.0, way[-1], int(np.ceil(way[-1])) + 1), way, s[:, 0])[:, None]
+    q = np.hstack([(1 - at) ** 3, 3 * at * (1 - at) ** 2, 3 * at * at * (1 - at), at**3]) @ controls
+    return np.array([robot.fk(one).homogeneous for one in q])
 
 
+def compare_planted(load: Callable[[], Any], paths: int, seed: int) -> dict[str, Any]:
+    """Planted paths of one arm."""
+    robot = load()
+    ik.solve_path(robot, planted(robot, np.random.default_rng(seed))[:20])  # compiles, or loads kernels
+    return summary([(0, *found(robot, planted(robot, np.random.default_rng([seed, k])), k)) for k in range(paths)])
+
+
+def found(robot: Any, poses: np.ndarray, seed: int) -> tuple[int | None, float]:
+    """Number of reconfigurations of the toolkit's path, None if it has none, and the processor time [s]."""
+    began = process_time()
+    made = ik.solve_path(robot, poses, seed=seed)
+    return len(made.reconfigurations) if made.success else None, process_time() - began
+
+
+def summary(pairs: list[tuple[int, int | None, float]]) -> dict[str, Any]:
+    """How often the toolkit's number equals the true least, is above it (or there is no path), or below it; times [s]."""
+    counts = [-1 if made is None else int(np.sign(least - made)) for least, made, _ in pairs]
+    said = {"equal": counts.count(0), "more": counts.count(-1), "fewer": counts.count(1)}
+    times = [one[2] for one in pairs]
+    return {"paths": len(pairs), **said, "processor": float(np.median(times)), "longest": max(times), "pairs": pairs}
+
+
+PLANTED = {
+    **{name: partial(ik.Robot.load, name) for name in ("panda", "ur5", "hydrolek_7w")},
+    "fetch arm on its lift": partial(ik.Robot.load, DATA / "fetch.urdf", base="base_link", tip="gripper_link"),
+}  # fmt: skip
 COMPARED = {
     "planar 3R, poses": compare_planar_poses, "planar 3R, positions": compare_planar_positions, "ur5": compare_ur5,
+    **{f"{name}, planted": partial(compare_planted, load) for name, load in PLANTED.items()},
 }  # fmt: skip

@@ -43,6 +43,22 @@ def test_a_motion_of_the_arm_itself_is_followed_in_one_piece(name):
         assert made.status == PathStatus.FOLLOWED and made.lower_bound == 0
 
 
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+@pytest.mark.parametrize("seed", [6, 64, 135])
+def test_a_motion_through_singular_poses_is_followed(seed):
+    """Poses interpolated beside a singular pose are out of reach, and the nearest solution beyond it may be on another branch."""
+    robot, rng = robots.load("ur5"), np.random.default_rng([1, seed])
+    points, s = robot.random_q(rng, 4), np.linspace(0.0, 1.0, 2001)[:, None]
+
+    def curve(s):
+        return np.hstack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s * s * (1 - s), s**3]) @ points
+
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(curve(s), axis=0)).max(axis=1))) / np.radians(2.0)
+    at = np.interp(np.linspace(0.0, way[-1], int(np.ceil(way[-1])) + 1), way, s[:, 0])[:, None]
+    made = ik.solve_path(robot, np.array([robot.fk(q).homogeneous for q in curve(at)]), seed=seed)
+    assert made.status == PathStatus.FOLLOWED
+
+
 def fewest(layers):
     """Fewest reconfigurations through layers of solutions (K, n) whose joints move by at most 7 degrees; None if one is empty."""
     counts = np.zeros(len(layers[0]), dtype=int)

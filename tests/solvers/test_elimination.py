@@ -42,6 +42,11 @@ def arm_of(kind, seed, scale=1.0):
         kind == "symmetric"
     ):  # Axes 1 and 2 meet, there is a wrist, and no joint tells the two solutions of the shoulder apart.
         points = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]], float)
+    if (
+        kind == "offset wrist"
+    ):  # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
+        axes = np.array([[0, 0, 1], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, -1, 0], [-1, 0, 0]], float)
+        points = np.array([[0, 0, 0], [0, 0, 245], [0, 0, 785], [0, 0, 785], [540, 0, 785], [0, -150, 785]]) / 1000.0
     T = np.eye(4)
     T[:3, 3] = scale * (points[5] + 0.1)
     return make_arm(axes, scale * points, T)
@@ -90,7 +95,7 @@ def fold(robot, q, joint):
 
 # ----------------------------------------------------------------------------------------------------- solutions and verdicts
 @pytest.mark.parametrize(("kind", "most_open"), [
-    ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8),
+    ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8), ("offset wrist", 1),
 ])  # fmt: skip
 def test_planted_solutions_are_listed_and_certified(kind, most_open):
     Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (100, 6))
@@ -119,7 +124,7 @@ def test_two_ways_to_read_the_loop_give_the_same_solutions(kind):
     assert both > 50
 
 
-@pytest.mark.parametrize("kind", ["general", "parallel shoulder", "wrist", "right angles", "symmetric"])
+@pytest.mark.parametrize("kind", ["general", "parallel shoulder", "wrist", "right angles", "symmetric", "offset wrist"])
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
     """Joints at half a turn, lattices of right angles, and wrists that are straight or almost so."""
@@ -209,6 +214,28 @@ def test_a_singular_pose_is_a_family_or_has_merged_solutions():
                 families += bool(found.families)
                 merged += found.complete and apart(found.q, q).min() < 1e-3
     assert families and merged
+
+
+def test_a_batch_lists_what_single_targets_do():
+    """Also where a list is not certain, at a singular pose, and where the target is out of reach."""
+    robot, rng = robots.load("hydrolek_7w"), np.random.default_rng(4)
+    solver, T = ik.Solver(robot), [robot.fk(robot.random_q(rng)).homogeneous for _ in range(6)]
+    T.insert(2, robot.fk(fold(robot, robot.home, 2)).homogeneous)
+    T[4][0, 3] += 9.0
+    for q0 in (None, robot.random_q(rng)):
+        many = solver.all(np.array(T), q0)
+        assert len(many) == 7 and set(many.complete) == {True, False}
+        for k, pose in enumerate(T):
+            one = solver.all(pose, q0)
+            assert np.array_equal(many[k].q, one.q) and many[k].to_dict() == one.to_dict()
+            near = robot.home if q0 is None else q0
+            assert (
+                np.allclose(one.distance, np.linalg.norm(one.q - near, axis=1)) and (np.diff(one.distance) >= 0).all()
+            )
+    assert [len(one) for one in solver.all(np.array(T), count=1)] == [min(len(solver.all(pose)), 1) for pose in T]
+    T[3][0, 3] = np.nan
+    with pytest.raises(ik.IKError):
+        solver.all(np.array(T))
 
 
 def test_rotations_with_few_digits_are_solved_too():

@@ -116,3 +116,31 @@ def test_loose_tolerances_prove_nothing():
     tight, loose = (ik.solve_batch(robot, T, tolerance=x) for x in (1e-6, 2e-3))
     assert tight.proven.sum() > 10
     assert not (loose.proven & (loose.status != ik.Status.UNREACHABLE)).any()
+
+
+@pytest.mark.parametrize("name", ["planar_2r", "locked", "inspection_7dof"])
+def test_an_exact_closed_form_proves_its_noes_but_for_a_free_lift(name):
+    robot, rng = robots.load(name), np.random.default_rng(31)
+    low, high = np.where(robot.slides, robot.lower, -np.pi), np.where(robot.slides, robot.upper, np.pi)
+    T = robot.chain.forward(rng.uniform(low, high, (80, robot.n)))[0]
+    T[60:, 0, 3] += 9.0
+    targets = T[:, :3, 3] if name == "planar_2r" else T
+    batch, hard = ik.solve_batch(robot, targets), ik.solve_batch(robot, targets, "lm", restarts=400)
+    blocked = batch.status == ik.Status.LIMIT_BLOCKED
+    assert blocked.sum() > 5 and batch.proven[60:].all() and (batch.status[60:] == ik.Status.UNREACHABLE).all()
+    assert (batch.proven[blocked] == (name != "inspection_7dof")).all() and not (batch.proven & hard.success).any()
+    k = int(np.flatnonzero(blocked)[0])
+    assert ik.solve(robot, targets[k]).proven == batch.proven[k]
+
+
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+def test_what_a_search_says_after_a_closed_form_without_an_answer_is_no_proof():
+    pytest.importorskip("eaik")
+    robot, rng, blocked = robots.load("ur5"), np.random.default_rng(32), 0
+    solver = ik.Solver(robot, "eaik", limits={"shoulder_lift_joint": (-0.3, 0.3)})
+    for _ in range(12):
+        found = solver(robot.fk(robot.random_q(rng)))
+        if found.status == ik.Status.LIMIT_BLOCKED:
+            blocked += 1
+            assert not found.proven and found.solver == "lm" and "every branch" not in found.message
+    assert blocked

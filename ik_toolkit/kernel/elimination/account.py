@@ -13,7 +13,7 @@ CERTAIN if every root is one of these:
   q3 is the root;
 - one of two whose error discs overlap only each other, where the 12 equations have two null vectors: two such solutions, or none.
 
-It is CERTAIN as well if there are as many solutions as roots (`answer.all_counted`).
+It is CERTAIN as well if there are as many solutions as roots that are not complex (`answer.all_counted`).
 
 Otherwise it is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
 """

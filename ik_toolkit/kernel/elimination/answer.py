@@ -143,8 +143,8 @@ def look_around(d, forms, whole):
 
 
 @inner
-def all_counted(whole, roots):
-    """Return whether an answer has as many solutions as a polynomial has roots, so that there can be no others.
+def all_counted(whole, real):
+    """Return whether an answer has as many solutions as a polynomial has roots not proven complex: there can be no others.
 
     Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
     singular, the result is False, because two entries might be one solution.
@@ -152,7 +152,7 @@ def all_counted(whole, roots):
     for k in range(1, int(whole[0, 0]) + 1):
         if whole[k, 6] < TRUST.singular:
             return False
-    return whole[0, 0] == roots
+    return whole[0, 0] == real
 
 
 @inner
@@ -195,7 +195,7 @@ def solve_loops(forms, arm, T, found, values, within):
 
     The orderings of the loop are tried in turn until one is certain, or until roots merge (DOUBLE). Solutions found with the
     earlier ones stay listed; if they include one that the certain ordering lacks, its certificate is rejected. An answer is
-    certain, too, if it has as many solutions as the determinant has roots.
+    certain, too, if it has as many solutions as one ordering's determinant has roots that are not proven complex.
 
     Args:
         forms: (F, SIZES.whole) orderings of the loop, best first: a `Form` or a `decomposition.Split`, with its tables.
@@ -214,7 +214,7 @@ def solve_loops(forms, arm, T, found, values, within):
         nudge(d, 0.0)
         for k in range(SIZES.columns):
             found[t, 0, k] = 0.0
-        status, roots = UNSURE, math.inf
+        status, roots, real = UNSURE, 0.0, math.inf
         for f in range(forms.shape[0]):
             load(d, view(forms[f]))
             if values.shape[0] > 0:
@@ -225,7 +225,9 @@ def solve_loops(forms, arm, T, found, values, within):
             pose, rank = use_form(d)
             alone = merge_into(d.found, view(found[t]))
             status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
-            roots = min(roots, d.found[0, 3] if d.found[0, 3] > 0.0 else math.inf)
+            left = d.found[0, 3] - (d.found[0, 4] if d.form[3] > 0.0 else 0.0)
+            if d.found[0, 3] > 0.0 and left < real:
+                roots, real = d.found[0, 3], left
             for k in range(3, SIZES.columns):
                 found[t, 0, k] = d.found[0, k]
             found[t, 0, 2] = f + 1.0 if d.form[3] > 0.0 else 0.0
@@ -235,8 +237,9 @@ def solve_loops(forms, arm, T, found, values, within):
                 break
         if status == UNSURE and values.shape[0] == 0:
             look_around(d, view(forms), view(found[t]))
-        if status != CERTAIN and all_counted(view(found[t]), roots):
+        if status != CERTAIN and all_counted(view(found[t]), real):
             status = CERTAIN
-            found[t, 0, 3], found[t, 0, 4], found[t, 0, 5] = roots, 0.0, 0.0
+            found[t, 0, 3], found[t, 0, 4], found[t, 0, 5] = roots, roots - real, 0.0
+            found[t, 0, 7] = -1.0 if roots > real else 0.0  # Complex roots near the circle are not listed here.
         found[t, 0, 1] = status
     keep(block)

@@ -126,7 +126,7 @@ class BatchResult(ReadOnly):
     q = property(lambda self: self.table[:, ANSWER : ANSWER + self.plan.robot.n])
     status = property(lambda self: self.table[:, AT.status].astype(np.int64))
     success = property(lambda self: self.table[:, AT.status] == Status.CONVERGED)
-    proven = property(lambda self: is_proven(self.table[:, AT.status], self.table[:, AT.excess], self.plan.row.closed))
+    proven = property(lambda self: is_proven(self.table[:, AT.status], self.table[:, AT.excess], self.plan))
     position_error = property(lambda self: self.table[:, AT.position])
     orientation_error = property(lambda self: None if self.position_only else self.table[:, AT.rotation])
 

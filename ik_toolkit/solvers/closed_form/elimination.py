@@ -12,13 +12,14 @@ import numpy as np
 
 from ...compile.jit import cached
 from ...kernel.chain import Chain
-from ...kernel.checks import is_rigid
+from ...kernel.checks import ORTHONORMAL, is_rigid, rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
-from ...kernel.elimination.terms import Notes
+from ...kernel.elimination.terms import CERTAIN, SIZES, Notes
 from ..protocol import closed_form
 from .eaik import STEPS, N, eaik_branches
 from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
+from .polish import list_branches
 
 # Least distance of the axes from a common point, as a share of the reach; smaller, rounding of a pose would be magnified too much.
 LEAST_SIZE = 1e-4
@@ -82,6 +83,14 @@ def forms_of(arm: bytes) -> np.ndarray:
     return make_forms(np.frombuffer(arm).copy())  # numba compiles a read-only array as another type
 
 
+def certificate_of(answer: list[float]) -> Certificate:
+    """Return the certificate of one answer of the elimination, given its first row, the `Notes`."""
+    notes = Notes(*answer[: len(Notes._fields)])
+    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the verdicts in `kernel.elimination.terms`
+    counts = int(notes.count), int(notes.roots), int(notes.complex)
+    return Certificate(status, *counts, notes.radius, notes.noise, notes.forms == 0.0)
+
+
 class Said(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
@@ -106,13 +115,9 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
         empty = np.empty((0, N))
         return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
-    notes = Notes(*found[0, : len(Notes._fields)].tolist())
-    count = int(notes.count)
-    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the verdicts in `kernel.elimination.terms`
-    certificate = Certificate(
-        status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise, notes.forms == 0.0,
-    )  # fmt: skip
-    rest = None if notes.near < 0.0 else found[1 + count : 1 + count + int(notes.near), :N].copy()
+    certificate = certificate_of(found[0].tolist())
+    count, near = certificate.solutions, int(found[0, 7])
+    rest = None if near < 0 else found[1 + count : 1 + count + near, :N].copy()
     rows = found[1 : 1 + count]
     return Said(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
 
@@ -129,6 +134,36 @@ def into_limits(Q, box, out, excess):
             out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
 
 
+@cached
+def list_certain(rows, ends, opt, T, found, box, table, counts):
+    """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_branches` does.
+
+    Args:
+        rows: geometry of the chain, as for `list_branches`.
+        ends: limits of the chain, likewise.
+        opt: options, likewise.
+        T: (N, 4, 4) targets [m].
+        found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
+        box: (at least 3, 6) lower limits, upper limits, reference [rad].
+        table: (at least the sum of all solutions, 9) receives the rows of `list_branches`, one target after another.
+        counts: (N,) receives the number of rows of each target, or -1 if its list is not certain or a row misses the tolerances.
+    """
+    at = 0
+    for t in range(T.shape[0]):
+        counts[t] = -1
+        if found[t, 0, 1] != CERTAIN or not rigid(T[t], ORTHONORMAL):
+            continue
+        Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
+        q, broken, signs = np.empty(Q.shape), np.empty(Q.shape[0]), np.zeros((Q.shape[0], 3), dtype=np.int8)
+        eaik_branches(Q, box, q, broken)
+        kept, legal = list_branches(
+            rows, ends, opt, T[t], box[2], -1, STEPS, q, broken, signs, table[at:], signs.copy()
+        )
+        if kept == legal:
+            counts[t] = kept
+            at += kept
+
+
 @closed_form
 class Elimination(NamedTuple):
     """Every solution of any six revolute joints by elimination, certified; returns the one within limits nearest q0.
@@ -141,6 +176,15 @@ class Elimination(NamedTuple):
     """
 
     recognise = staticmethod(recognise_six_revolute)
+
+    def certain(
+        self, chain: tuple, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Return the table and counts of `list_certain` for poses T (N, 4, 4), and the answers (N, ...) of the elimination."""
+        found = answers(forms_of(p.tobytes()), p, T)
+        table, counts = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty(len(T), dtype=np.int64)
+        list_certain(*chain[:2], opt, T, found, box, table, counts)
+        return table, counts, found
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
