@@ -200,11 +200,13 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Return the tip of a Robot or the tips of a Tree: of --tip, or the robot's own, or those with a target.
+        """Return what `load` takes: one tip or None (its default) for a Robot, or a list of tips for a Tree.
+
+        The tips are those of --tip; without it all that the robot lists, or those that the targets name if it lists others or none.
+        With --group `load` takes the tips of the group: for None (no targets) it makes a Robot if there is only one, for [] a Tree.
 
         given: targets by tip, or None without --target; relative: --relative; one: whether a single target without a tip is
-        given. With --group, `load` takes the tips of the group: for None it makes a Robot if there is one tip. Raises
-        InvalidOption.
+        given. Raises InvalidOption.
         """
         if self.group is not None:
             return None if given is None else []

@@ -44,9 +44,9 @@ def reach(
     file: FileOptions,
     out: JsonOutput,
 ) -> None:
-    """Map what the tip reaches inside the limits: yes with a configuration, no with a proof, or nothing found.
+    """Map what the tip reaches inside the limits: a cell is reached (with a configuration), proven out of reach, or undecided.
 
-    A sample of the noes without proof is tried again, and the share that was wrong is stated. Ctrl-C keeps what is
+    A sample of the undecided is tried again, and the share that proved reachable is stated. Ctrl-C keeps what is
     finished in FILE.partial; the same command goes on from there, also after the process was killed.
 
     Examples:

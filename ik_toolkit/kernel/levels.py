@@ -43,7 +43,8 @@ class LevelSteps(NamedTuple):
     most: int = 20  # it also ends after so many attempts if any has reached level 0
     # attempts with all errors at one level, if there are at least as many joints as errors that count
     at_once: int = 48
-    # the same for fewer joints: with them 9 of 1,000 reachable poses of the SO-101 are missed, without them 50
+    # the same for fewer joints, if they can change no more errors than they are (the pose of a planar arm): without them 8 of 400
+    # poses that planar_3r reaches are missed
     at_once_few: int = 3
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which level 0 is taken to be out of reach

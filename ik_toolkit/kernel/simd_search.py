@@ -88,7 +88,7 @@ def make_lanes(block, n):
 
 @spliced
 def lane_errors(rows, tip, s, turning):
-    """Return the tip, its errors (linear, angular) and 1 + cos(angle left). If the latter is below HALF_TURN, `angular` is wrong.
+    """Return the tip, its linear and angular error, and 1 + cos of the angle that remains; below HALF_TURN `angular` is not valid.
 
     turning: factor of the rotation error: 0 if only the position counts, else 1.
     """

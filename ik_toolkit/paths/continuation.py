@@ -272,7 +272,10 @@ class Tracks:
         return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Continue the solutions `seeds` (M, n) [internal units] of the poses numbered `at` (M,) while there is room."""
+        """Start a track from each of the solutions `seeds` (M, n) [internal units] at the poses with the indices `at` (M,).
+
+        Each is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
+        """
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:

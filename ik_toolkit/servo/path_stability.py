@@ -82,9 +82,8 @@ def least_rate(
     """
     fixed: dict[str, Any] = complete(method, gains)
     own = [name for name in gains if name not in WITHOUT]
-    mapping_matrix(
-        method, 1.0, **(fixed if own else best_gains(method, 1.0) | gains)
-    )  # raises for a gain missing or wrong
+    tried: dict[str, Any] = fixed if own else best_gains(method, 1.0) | gains
+    mapping_matrix(method, 1.0, **tried)  # raises for a gain missing or wrong
     motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping [1/s]")
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:

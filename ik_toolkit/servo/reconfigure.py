@@ -187,7 +187,7 @@ class Reconfiguration:
         self._left = 0  # attempts left in the present search
         # cost [s], joint values and targets of the best posture found
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None
-        self._stands = False  # whether the target stood when the search began
+        self._stands = False  # whether the target was at rest when the search began
         self._now = False  # whether the search was asked for by `search_now`
 
     # ------------------------------------------------------------------------------------------------ when to search

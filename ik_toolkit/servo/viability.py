@@ -225,7 +225,7 @@ def watch(swings, rate, x, size, gamma, h):
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most; without such a rate, to the nearest."""
+    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most; if none is left, to the nearest bound."""
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:

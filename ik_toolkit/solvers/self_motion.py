@@ -42,9 +42,11 @@ class MotionEnd(NamedTuple):
 class Following(NamedTuple):
     """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
 
-    slices: int = 64  # number of values at which the first or last joint is fixed
+    slices: int = (
+        64  # the first or last joint is fixed at so many values in turn, to find the points where curves begin
+    )
     longest: float = 0.1  # longest step
-    shortest: float = 1e-6  # a curve on which a step is shorter ends at a singular pose
+    shortest: float = 1e-6  # shortest step; a curve that needs a shorter one is taken to end at a singular pose
     straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
     newton: int = 8  # highest number of Newton steps that bring a point onto the target
     closed: float = 1e-22  # squared error at which these steps end

@@ -125,9 +125,9 @@ class LoopAnalysis:
     def predict(self, targets: Any, q0: Any = None, tolerance: float = 1e-3) -> np.ndarray:
         """Return whether the solver is expected to reach each target, from its static gains S and the joint limits alone.
 
-        The iteration q += S e, which has no state, is run with the limits. It foretells a run, not whether a solution q0 + S w
-        exists: a limit on the way may turn it aside. Where the solver reaches a target that the iteration misses, or the other
-        way round, its state has overshot into a limit.
+        The memoryless iteration q += S e is run, clamped to the limits. This predicts the outcome of a run, not whether some
+        configuration q0 + S w (w: any vector) solves the target: a joint that meets a limit on the way may divert it. Where
+        solver and prediction differ, the dynamics of the solver's state made joints overshoot into a limit.
 
         Args:
             targets: As for `solve_batch`, N of them.

@@ -26,7 +26,7 @@ class Null(NamedTuple):
     x: Array  # (12,) a null vector
     pair: Array  # (2, 12) two null vectors that are vectors of monomials
     monomials: Array  # (14,) the monomials; later the 14 numbers of a line (see equations.py)
-    t: Array  # (6,) joint angles in the order of the reordered loop
+    t: Array  # (6,) joint angles, in the order of the loop that starts at another joint (closure.reorder)
 
 
 @inner

@@ -103,7 +103,10 @@ def motion_to(T, arm, X):
 
 @inner
 def use_form(d):
-    """Solve for the target in d, by elimination or (if the degree is 0) by decomposition; return the pose and the rank."""
+    """Solve for the target in d with the ordering in d.form: by elimination, or by decomposition if its degree d.form[3] is 0.
+
+    Returns the pose and the rank that `set_up` found; of a decomposition the pose of the reordered loop, and 0.
+    """
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
         return pose_of(d.loop.X), 0

@@ -21,7 +21,8 @@ class ReadingChoice(NamedTuple):
     poses: int = 12  # number of random poses on which orderings are compared
     kept: int = 4  # number of orderings that are kept
     share: float = 0.6  # an ordering is kept if it finds most solutions at this share of the poses
-    tone: float = 1e-12  # a harmonic below this share of the largest is taken for rounding; true ones of 1e-10 occur
+    # Fourier coefficients of the determinant below this share of the largest are rounding; true ones of 1e-10 occur.
+    tone: float = 1e-12
     seed: int = 0
 
 

@@ -181,7 +181,7 @@ def determinant(W, c, s, A, N):
 
 @inner
 def eliminate(A, rows, columns, count):
-    """Bring the first `count` columns of A (rows, columns) to a triangle by Gauss's method, with exchanges of rows.
+    """Reduce the first `count` columns of A (rows, columns) to upper triangular form (Gaussian elimination, partial pivoting).
 
     Returns the product of the pivots, and the sign of the row permutation.
     """

@@ -64,7 +64,7 @@ def pp_arm(length: float = 0.5) -> System:
 
 
 def rr_arm(length: float = 1.0) -> System:
-    """Return the tip of two links whose angles are both measured from the base, eq. (43)."""
+    """Return the System for the tip of two links whose angles are both measured from the base, eq. (43)."""
     return System(
         lambda q: length * np.array([np.cos(q).sum(), np.sin(q).sum()]),
         lambda q: length * np.array([-np.sin(q), np.cos(q)]),

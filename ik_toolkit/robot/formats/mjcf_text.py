@@ -20,7 +20,11 @@ TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 
 @dataclass
 class Flat:
-    """MJCF text without file references; `meshes` maps a mesh to its file as written, below the model's folder."""
+    """MJCF text with all references to files removed.
+
+    meshes: by name of a mesh the path of its file, with the compiler's mesh folder in front, relative to the model's folder unless
+    absolute. notes: what was left out.
+    """
 
     xml: str
     meshes: dict[str, str] = field(default_factory=dict)

@@ -52,7 +52,7 @@ def check_urdf(
 
 
 def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
-    """Return the sentences that loading reports about a URDF.
+    """Return the warnings, a sentence each, that loading a URDF reports.
 
     Raises ModelError, which names the first invalid element of the kinematics, if there is one (`check_urdf` lists
     all). `lines` tells whether lines of the text are lines of the file.

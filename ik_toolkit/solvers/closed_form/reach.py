@@ -300,7 +300,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
 
 @cached
 def many_branches(P, lifts, a4, a6, near, sols):
-    """Return how many branches the wrist poses P (N, 12) have at lifts (N,); benchmarks time this."""
+    """Return the total number of branches of wrist poses P (N, 12) at lifts (N,) [m]. Only benchmarks use it."""
     count = 0
     for k in range(P.shape[0]):
         count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)

@@ -101,5 +101,6 @@ class SQP(NamedTuple):
         """Return the parameters of the compiled step, see `LevelStep`."""
         assert asked is not None
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
-        plain = QUADRATIC.at_once if counted <= robot.n else QUADRATIC.at_once_few
+        few = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
+        plain = QUADRATIC.at_once if counted <= robot.n else few
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)

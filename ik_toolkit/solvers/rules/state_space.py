@@ -109,7 +109,7 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints may rest at limits while the state still changes, which is no stall.
+        # Joints may rest at limits while the state still changes; that is no stall.
         return WAITING if changed > SETTLED else 0
 
 
