@@ -11,6 +11,8 @@ from hypothesis import settings
 # Where `ik` is installed a shell finds it, also if the tests are run by another shell.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 os.environ.setdefault("IK_TOOLKIT_WAIT", "1")  # `ik` compiles and waits: no test depends on what is on disk
+# The matrices of the tests are small: threads of numpy's library wait for each other, and took three times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
