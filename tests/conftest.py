@@ -73,3 +73,18 @@ def pytest_xdist_make_scheduler(config, log):
             return next((group for start, group in TOGETHER.items() if file.startswith(start)), file)
 
     return ByKernel(config, log)
+
+
+@pytest.fixture
+def run(capsys, monkeypatch):
+    """Run a command line in this process; returns exit code, stdout, stderr."""
+    from ik_toolkit.cli import main
+
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments):
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
