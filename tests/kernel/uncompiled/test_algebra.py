@@ -227,7 +227,7 @@ def test_linear_systems_with_and_without_an_answer():
         x = more @ y
         assert linalg.lu_solve(more.copy(), x, n, 6)
         np.testing.assert_allclose(x[:n], y, rtol=1e-8)
-    for shape in ((6, 3), (3, 3)):
-        assert not linalg.lu_solve(np.ones(shape), np.ones(shape[0]), 3, shape[0])
+    for A in (np.ones((6, 3)), np.ones((3, 3)), np.zeros((2, 2))):
+        assert not linalg.lu_solve(A, np.ones(len(A)), A.shape[1], len(A))
     for small, fine in ((1.5e-10, True), (0.7e-10, False)):
         assert linalg.lu_solve(np.diag([1.0, small, -2.0 / 2.0]), np.ones(3), 3, 3) == fine
