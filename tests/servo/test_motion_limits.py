@@ -123,7 +123,7 @@ def test_a_limit_that_falls_below_the_speed_is_met_with_full_deceleration():
         assert bool(code[0] & viability.RECOVERING) == (k < 24)
 
 
-@settings(max_examples=24, deadline=None, derandomize=True)
+@settings(max_examples=16, deadline=None, derandomize=True)
 @given(
     name=some.sampled_from(["panda", "planar_2r", "hydrolek_7w", "inspection_7dof", "mimic"]),
     method=some.sampled_from(["cv", "av", "ca", "aa", "aad", "dls"]),
