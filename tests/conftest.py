@@ -47,7 +47,8 @@ def pytest_configure(config):
     """Let every second process read the folders from the last: what one has rewritten for pytest the other finds on disk."""
     number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
     if int(number) % 2 and config.args == config.getini("testpaths"):
-        config.args = sorted((str(path) for path in Path(__file__).parent.iterdir() if path.is_dir()), reverse=True)
+        places = [path for path in Path(__file__).parent.iterdir() if path.is_dir() or path.name.startswith("test_")]
+        config.args = sorted(map(str, places), reverse=True)
 
 
 def pytest_collection_modifyitems(items):
