@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+import time
 
 import pytest
 
@@ -54,3 +55,11 @@ def plainly_lit(robot):
         made.server.scene.configure_default_lights(cast_shadow=False)
         made.server.scene.configure_environment_map(None)
         yield made
+
+
+def until(page, condition):
+    """Wait until a condition holds; a page's security policy lets the browser itself wait for none of ours."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not condition():
+        assert time.monotonic() < end, "what was asked for did not happen"
+        page.wait_for_timeout(100)

@@ -11,6 +11,8 @@ from hypothesis import settings
 # Where `ik` is installed a shell finds it, also if the tests are run by another shell.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 os.environ.setdefault("IK_TOOLKIT_WAIT", "1")  # `ik` compiles and waits: no test depends on what is on disk
+# The matrices of the tests are small: threads of numpy's library wait for each other, and took three times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
@@ -41,6 +43,19 @@ TOGETHER = {
 }
 
 
+def pytest_configure(config):
+    """Let every second process read the folders from the last: what one has rewritten for pytest the other finds on disk."""
+    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    if int(number) % 2 and config.args == config.getini("testpaths"):
+        places = [path for path in Path(__file__).parent.iterdir() if path.is_dir() or path.name.startswith("test_")]
+        config.args = sorted(map(str, places), reverse=True)
+
+
+def pytest_collection_modifyitems(items):
+    """Put tests in the order of their files, in every process the same."""
+    items.sort(key=lambda item: item.nodeid.partition("::")[0])
+
+
 def pytest_collection_finish():
     """Spare the garbage collector what was imported and stays."""
     gc.collect()
@@ -59,3 +74,18 @@ def pytest_xdist_make_scheduler(config, log):
             return next((group for start, group in TOGETHER.items() if file.startswith(start)), file)
 
     return ByKernel(config, log)
+
+
+@pytest.fixture
+def run(capsys, monkeypatch):
+    """Run a command line in this process; returns exit code, stdout, stderr."""
+    from ik_toolkit.cli import main
+
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments):
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call

@@ -93,6 +93,30 @@ for _k, _radius in enumerate((0.05, 0.05, 0.08, 0.06, 0.05, 0.04, 0.05, 0.04, 0.
 MADE = {"continuous_mix": CONTINUOUS, "mimic_mix": MIMIC, "slides_mix": SLIDES}
 
 
+def few_joints(count, seed, slides=False):
+    """An arm of `count` joints at random places, with a tool beyond the last."""
+    rng = np.random.default_rng(seed)
+    joints = [
+        dict(
+            kind="prismatic" if slides and k % 2 else "revolute",
+            axis=" ".join(map(str, rng.normal(size=3))),
+            xyz=" ".join(map(str, rng.uniform(-0.3, 0.3, 3))),
+            rpy=" ".join(map(str, rng.uniform(-3.0, 3.0, 3))),
+            limits=(-2.5, 2.5),
+        )
+        for k in range(count)
+    ]
+    return ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.4 0 0", rpy="0.3 0.2 0.1")))
+
+
+def planar_pose(x, y, angle):
+    """A pose (4, 4) in the plane of x and y."""
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[:2, 3] = x, y
+    return T
+
+
 def have_data():
     """Whether example-robot-data's arms are installed."""
     try:

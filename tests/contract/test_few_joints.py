@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import urdf
+from robots import few_joints
 
 import ik_toolkit as ik
 from ik_toolkit.solvers.registry import BY_NAME
@@ -14,25 +14,10 @@ CASES = [("lm", count) for count in (1, 2, 3, 4, 5)] + [
 ]
 
 
-def arm(count):
-    rng = np.random.default_rng(30 + count)
-    joints = [
-        dict(
-            kind="revolute",
-            axis=" ".join(map(str, rng.normal(size=3))),
-            xyz=" ".join(map(str, rng.uniform(-0.3, 0.3, 3))),
-            rpy=" ".join(map(str, rng.uniform(-3.0, 3.0, 3))),
-            limits=(-2.5, 2.5),
-        )
-        for _ in range(count)
-    ]
-    return ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.4 0 0", rpy="0.3 0.2 0.1"), name=f"arm_{count}"))
-
-
 @pytest.mark.parametrize("kind", ["pose", "position"])
 @pytest.mark.parametrize(("name", "count"), CASES)
 def test_every_clause_holds(name, count, kind):
-    case = Case(name, arm(count), kind, seed=3)
+    case = Case(name, few_joints(count, 30 + count), kind, seed=3)
     if not getattr(BY_NAME[name], kind) or not case.fits():
         return
     for clause in CLAUSES.values():
@@ -41,7 +26,7 @@ def test_every_clause_holds(name, count, kind):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_every_call_takes_what_the_arm_draws(count):
-    robot = arm(count)
+    robot = few_joints(count, 30 + count)
     Q = robot.random_q(np.random.default_rng(0), 20)
     poses = np.array([robot.fk(q).homogeneous for q in Q])
     bound = ik.Solver(robot)

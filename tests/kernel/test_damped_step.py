@@ -62,7 +62,7 @@ def test_the_arm_comes_to_rest_at_the_edge_of_its_ranges(mode):
     h, gain = 0.01, 20.0
     lower, upper = np.array([-1.0, 0.3, -0.2]), np.array([1.0, 1.5, 2.0])
     rng = np.random.default_rng(11)
-    for _ in range(many(10)):
+    for _ in range(many(4)):
         q, target = rng.uniform(lower, upper), rng.uniform(-4.0, 4.0, 2)
         step, rates = Step(np.zeros((3, 2)), np.zeros(3), np.zeros(3), mode=mode, step=h), []
         for _ in range(1500):

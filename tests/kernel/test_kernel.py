@@ -9,8 +9,8 @@ import pytest
 import robots
 
 from ik_toolkit.compile.jit import cached
-from ik_toolkit.kernel import kinematics, linalg, starts
-from ik_toolkit.kernel.algebra import at3, put3, rotation_at, sincos
+from ik_toolkit.kernel import starts
+from ik_toolkit.kernel.algebra import at3, rotation_at, sincos
 
 ALL = [*robots.SHIPPED, *robots.MADE, "locked", "tool", *(name for name, _ in robots.DATA_ARMS)]
 
@@ -65,66 +65,6 @@ def test_sincos_is_exact_to_a_few_ulp_and_survives_many_turns():
     out = np.empty((len(x), 2))
     _sincos(x, out)
     assert np.abs(out - np.column_stack([np.sin(x), np.cos(x)])).max() < 1e-12
-
-
-@cached
-def _rotation_error(target, actual, out):
-    e = kinematics.rotation_error(rotation_at(actual.reshape(-1), 0), rotation_at(target.reshape(-1), 0))
-    put3(out, 0, e * kinematics.angle_ratio(e.square()))
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.0, math.pi - 1e-3, math.pi - 1e-6, math.pi - 1e-9, math.pi])
-def test_rotation_error_is_the_rotation_vector_up_to_half_a_turn(angle):
-    rng = np.random.default_rng(0)
-    axes = [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(20, 3)))]
-    for axis in axes:
-        actual = pin.exp3(rng.normal(size=3))
-        target = pin.exp3(angle * axis) @ actual
-        out = np.empty(3)
-        _rotation_error(np.ascontiguousarray(target), np.ascontiguousarray(actual), out)
-        # Half a turn about an axis and about its opposite are the same rotation.
-        off = min(
-            np.abs(out - angle * axis).max(), np.abs(out + angle * axis).max() if angle > math.pi - 1e-7 else np.inf
-        )
-        # asin is steep at half a turn: half the digits of the angle are left there, all those of the axis
-        assert off < (1e-7 if angle > math.pi - 1e-5 else 1e-11)
-
-
-@cached
-def _pinv(J, e, rcond, dq):
-    V = np.empty((6, 6))
-    linalg.pseudo_inverse_step(J, e, rcond, V, dq, 6)
-
-
-@pytest.mark.parametrize("n", [2, 3, 6, 7, 12])
-def test_pseudo_inverse_step_equals_numpy(n):
-    rng = np.random.default_rng(n)
-    for rank in (1, 2, min(n, 6)):
-        J = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, n))
-        e, dq = rng.normal(size=6), np.empty(n)
-        _pinv(np.ascontiguousarray(J.T), e, 1e-9, dq)
-        assert np.allclose(dq, np.linalg.pinv(J, rcond=1e-9) @ e, atol=1e-9 * max(1.0, np.abs(dq).max()))
-
-
-@cached
-def _lu(A, b):
-    return linalg.lu_solve(A, b, A.shape[1], A.shape[0])
-
-
-def test_lu_solve_equals_numpy_and_refuses_singular_systems():
-    rng = np.random.default_rng(1)
-    for n in (1, 2, 5, 6):
-        A, b = rng.normal(size=(n, n)), rng.normal(size=n)
-        x = b.copy()
-        assert _lu(A.copy(), x)
-        assert np.allclose(x, np.linalg.solve(A, b), atol=1e-10)
-        more = rng.normal(size=(6, n))  # Further equations that follow from the others change nothing.
-        x = more @ A @ np.linalg.solve(A, b)
-        assert _lu(more @ A, x)
-        assert np.allclose(x[:n], np.linalg.solve(A, b), atol=1e-10)
-    assert not _lu(np.ones((6, 3)), np.ones(6))
-    assert not _lu(np.ones((3, 3)), np.ones(3))
-    assert not _lu(np.zeros((2, 2)), np.ones(2))
 
 
 @cached

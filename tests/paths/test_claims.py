@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import load, urdf
+from robots import load, planar_pose, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.paths.result import PathStatus
@@ -13,13 +13,6 @@ WOUND = urdf(
     dict(kind="revolute", xyz="1 0 0", limits=(-1.0, 1.0)),
     dict(kind="revolute", xyz="1 0 0", limits=(-3.5, 3.5)),
 )
-
-
-def planar_pose(x, y, angle):
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    T[:2, 3] = x, y
-    return T
 
 
 def spun(degrees):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import have_data, urdf
+from robots import few_joints, have_data, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import POSE
@@ -10,22 +10,6 @@ from ik_toolkit.motion.reference import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
 
 POSES = 15
-
-
-def arm(count, seed, slides=False):
-    """An arm of `count` joints at random places, with a tool beyond the last."""
-    rng = np.random.default_rng(seed)
-    joints = [
-        dict(
-            kind="prismatic" if slides and k % 2 else "revolute",
-            axis=" ".join(map(str, rng.normal(size=3))),
-            xyz=" ".join(map(str, rng.uniform(-0.3, 0.3, 3))),
-            rpy=" ".join(map(str, rng.uniform(-3.0, 3.0, 3))),
-            limits=(-2.5, 2.5),
-        )
-        for k in range(count)
-    ]
-    return ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.4 0 0", rpy="0.3 0.2 0.1")))
 
 
 def drawn(robot, gap, seed):
@@ -39,7 +23,7 @@ def drawn(robot, gap, seed):
 @pytest.mark.parametrize("slides", [False, True])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_full_poses_that_the_arm_draws_itself_are_one_motion(count, slides):
-    robot = arm(count, 20 + count, slides)
+    robot = few_joints(count, 20 + count, slides)
     for gap in (0.016, 0.1):
         Q, T = drawn(robot, gap, count)
         made = ik.solve_path(robot, T)
@@ -54,7 +38,7 @@ def test_full_poses_that_the_arm_draws_itself_are_one_motion(count, slides):
 
 def test_the_distance_from_the_interpolated_poses_is_bounded_and_told_apart():
     """Five joints, poses 0.1 rad apart: sampled finely, no error is above its bound, nor what is left beyond what is lacking."""
-    robot = arm(5, 25)
+    robot = few_joints(5, 25)
     _, T = drawn(robot, 0.1, 5)
     made = ik.solve_path(robot, T)
     proof = made.continuity
@@ -70,14 +54,14 @@ def test_the_distance_from_the_interpolated_poses_is_bounded_and_told_apart():
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_positions_that_the_arm_draws_itself_are_one_motion(count):
-    robot = arm(count, 20 + count)
+    robot = few_joints(count, 20 + count)
     Q, T = drawn(robot, 0.05, count)
     made = ik.solve_path(robot, T[:, :3, 3])
     assert made.status is PathStatus.FOLLOWED and np.abs(made.q - Q).max() < 1e-5
 
 
 def test_a_pose_before_one_that_is_not_reached_stays_in_the_motion():
-    robot = arm(2, 22)
+    robot = few_joints(2, 22)
     T = drawn(robot, 0.2, 2)[1][:9]  # rows are inserted between them
     T[4, :3, 3] += 9.0
     made = ik.solve_path(robot, T)

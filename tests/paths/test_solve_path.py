@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import MIMIC, have_data
+from robots import MIMIC, have_data, planar_pose
 from serial_arms import urdf
 
 import ik_toolkit as ik
@@ -27,13 +27,6 @@ def flat():
 def between(robot, a, b, count):
     """Poses (count, 4, 4) of a motion that is linear in the joints."""
     return np.array([robot.fk(q).homogeneous for q in np.linspace(a, b, count)])
-
-
-def planar_pose(x, y, angle):
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    T[:2, 3] = x, y
-    return T
 
 
 def test_one_motion_where_there_is_one(arm):

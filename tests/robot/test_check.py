@@ -274,7 +274,7 @@ def test_links_in_a_circle_with_a_mimic_joint_are_refused():
         require_loadable(text)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     st.lists(st.tuples(st.integers(0, len(SEED)), st.integers(0, 12), st.sampled_from(PIECES)), min_size=1, max_size=3)
 )

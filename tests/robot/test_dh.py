@@ -88,7 +88,7 @@ def tables(draw):
     }
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(tables())
 def test_any_table_becomes_a_valid_urdf_of_the_same_kinematics(raw):
     table = dh_table(raw)
@@ -206,7 +206,7 @@ VALUES = (
 KEYS = st.sampled_from(["name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort", "x"])
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.dictionaries(KEYS, VALUES, max_size=6), st.sampled_from(["joint", "base", "tool", "name", "angles"]), VALUES)
 def test_any_row_is_refused_or_written(row, setting, value):
     for raw in ({**GOOD, "joint": [{**ROW, **row}]}, {**GOOD, "joint": [ROW], setting: value}):
@@ -217,7 +217,7 @@ def test_any_row_is_refused_or_written(row, setting, value):
         assert not [f for f in check_urdf(to_urdf(table)) if f.severity == "error"]
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.text(max_size=80))
 def test_any_csv_is_refused_or_read(tmp_path_factory, text):
     file = tmp_path_factory.getbasetemp() / "fuzz.csv"

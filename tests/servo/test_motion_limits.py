@@ -65,7 +65,7 @@ def test_limits_hold_in_steps_of_any_length_and_between_them(seed):
         assert (np.abs(bend) <= limits[3] * h * (1.0 + 1e-9) + 1e-14 / h).all()  # rounding of q
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     distance=some.floats(1e-9, 10.0),
     share=some.floats(-1.0, 1.0),
@@ -123,7 +123,7 @@ def test_a_limit_that_falls_below_the_speed_is_met_with_full_deceleration():
         assert bool(code[0] & viability.RECOVERING) == (k < 24)
 
 
-@settings(max_examples=24, deadline=None, derandomize=True)
+@settings(max_examples=16, deadline=None, derandomize=True)
 @given(
     name=some.sampled_from(["panda", "planar_2r", "hydrolek_7w", "inspection_7dof", "mimic"]),
     method=some.sampled_from(["cv", "av", "ca", "aa", "aad", "dls"]),

@@ -185,7 +185,7 @@ def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
         assert not usual.stable and "samples ago" in usual.message and "Try" in usual.message
         best = st.check_gains(method, 0.01, delay=delay, **usual.suggestion)
         assert best.stable and best.radius < 0.97
-        for factors in rng.uniform(0.7, 1.4, (40, 2)):
+        for factors in rng.uniform(0.7, 1.4, (15, 2)):
             other = {k: v * f for (k, v), f in zip(usual.suggestion.items(), factors, strict=False)}
             assert st.check_gains(method, 0.01, delay=delay, **other).radius > best.radius - 0.01
         gains = best.suggestion
@@ -203,7 +203,7 @@ def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
 def test_noise_gain_is_what_a_simulation_shows(method, delay):
     h = 0.01
     gains = {"gamma": 0.7} if method == "aad" else st.best_gains(method, h, delay)
-    noise = 1e-3 * np.random.default_rng(2).standard_normal(200_000)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(60_000)
     q, rates = (part[1000:] for part in late_joint(method, h, gains, delay, len(noise), noise))
     found = st.check_gains(method, h, delay=delay, noise=1e-3, **gains)
     rate = h * np.sqrt((rates**2).mean())
@@ -277,7 +277,7 @@ def test_a_rate_that_is_named_is_stable_along_the_path(method, gains):
     """Also where the gains are unstable at rest: the rate that is stable there is too low along the path."""
     robot = ik.Robot.load("planar_2r")
     path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
-    for rate in (4.0, 4.97, 6.0):
+    for rate in (4.0, 4.97):
         check = st.check_gains(method, 1.0 / rate, robot=robot, path=path, **gains)
         assert (
             check.verdict == "unstable" and f"a rate above {1.0 / check.longest_step:.4g} Hz is stable" in check.message

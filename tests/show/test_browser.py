@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from chromium import NEEDED, PATIENCE, api, fresh_page, plainly_lit, started
+from chromium import NEEDED, PATIENCE, api, fresh_page, plainly_lit, started, until
 
 import ik_toolkit as ik
 
@@ -71,14 +71,6 @@ def test_live_scene_follows_the_program(browser):
         assert page.outside == [] and page.errors == []
         scene.close()
         page.wait_for_selector("text=has ended")
-
-
-def until(page, condition):
-    """Wait until a condition holds: a busy machine takes a while to do what was asked."""
-    end = time.monotonic() + PATIENCE / 1000
-    while not condition():
-        assert time.monotonic() < end, "what was asked for did not happen"
-        page.wait_for_timeout(100)
 
 
 class PanelPage:

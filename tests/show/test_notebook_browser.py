@@ -1,11 +1,10 @@
 """Cells of a notebook in a real browser (Playwright driving Chromium). Skipped where either is missing."""
 
 import base64
-import time
 
 import numpy as np
 import pytest
-from chromium import NEEDED, PATIENCE, fresh_page, started
+from chromium import NEEDED, fresh_page, started, until
 
 import ik_toolkit as ik
 
@@ -47,14 +46,6 @@ def seen(page, k):
         "(k) => document.querySelectorAll('[data-ik]')[k].querySelector('iframe')?.style.opacity == 1", arg=k
     )
     return frame.element_handle().content_frame()
-
-
-def until(page, condition):
-    """Wait until a condition holds; a page's security policy lets the browser itself wait for none of ours."""
-    end = time.monotonic() + PATIENCE / 1000
-    while not condition():
-        assert time.monotonic() < end, "what was asked for did not happen"
-        page.wait_for_timeout(100)
 
 
 def test_every_scene_is_there_when_it_is_scrolled_to(browser, tmp_path):

@@ -211,7 +211,7 @@ def test_poses_that_need_more_stroke_name_the_lift(arm):
     rng = np.random.default_rng(8)
     p = ik.Inspection().pack(arm)
     blocked = unreachable = 0
-    for _ in range(1000):
+    for _ in range(300):
         q = arm.random_q(rng)
         q[1] = rng.uniform(-1.0, 1.5)
         T = arm.chain.forward(q)[0][0]
@@ -228,7 +228,7 @@ def test_poses_that_need_more_stroke_name_the_lift(arm):
         else:
             unreachable += 1
             assert result.status == ik.Status.UNREACHABLE
-    assert blocked > 100 and unreachable > 50
+    assert blocked > 30 and unreachable > 15
 
 
 def test_sample_pose_of_the_paper(arm):

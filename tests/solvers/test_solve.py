@@ -279,7 +279,7 @@ def test_read_only_and_foreign_arrays_are_targets_too():
         assert ik.solve(robot, same).q.tobytes() == expected
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=6, max_size=6), st.integers(0, 2**31 - 1))
 def test_converged_never_with_an_error_above_the_tolerance(values, seed):
     robot = robots.load("hydrolek_7w")

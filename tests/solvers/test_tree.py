@@ -9,7 +9,7 @@ import pytest
 from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
-from ik_toolkit import cli, errors
+from ik_toolkit import errors
 from ik_toolkit.robot.rotation import matrix_quat
 from ik_toolkit.robot.tree import Tree
 
@@ -307,16 +307,6 @@ def test_what_several_tips_cannot_do_is_said(brokk):
 
 
 # ----------------------------------------------------------------------------------------------------- the command line
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        code = cli.main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
-
-
 def options_of(targets):
     words = []
     for tip, T in targets.items():

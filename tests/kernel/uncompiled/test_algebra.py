@@ -206,6 +206,10 @@ def test_pseudo_inverses_leave_out_small_values():
         dq, A = np.empty(7), J.copy()
         linalg.pseudo_inverse_step(A, e, rcond, np.empty((6, 6)), dq, 6)
         np.testing.assert_allclose(dq, U[:, :keep] / values[:keep] @ V[:, :keep].T @ e, rtol=1e-9, atol=1e-9)
+    for n, rank in ((2, 1), (3, 2), (7, 2), (12, 6)):
+        J, dq = rng.normal(size=(n, rank)) @ rng.normal(size=(rank, 6)), np.empty(n)
+        linalg.pseudo_inverse_step(J.copy(), e, 1e-9, np.empty((6, 6)), dq, 6)
+        np.testing.assert_allclose(dq, np.linalg.pinv(J.T, rcond=1e-9) @ e, atol=1e-9 * max(1.0, np.abs(dq).max()))
     dq = np.ones(2)
     linalg.pseudo_inverse_step(np.zeros((2, 6)), e, 1e-9, np.empty((6, 6)), dq, 6)
     np.testing.assert_array_equal(dq, 0.0)
@@ -216,8 +220,14 @@ def test_linear_systems_with_and_without_an_answer():
     for n in (1, 2, 4, 6):
         A, b = rng.normal(size=(7, 7)), rng.normal(size=7)
         A[0, 0] = 0.0 if n > 1 else 1.0
-        x = b.copy()
+        x, y = b.copy(), np.linalg.solve(A[:n, :n], b[:n])
         assert linalg.lu_solve(A.copy(), x, n, n)
-        np.testing.assert_allclose(x, [*np.linalg.solve(A[:n, :n], b[:n]), *b[n:]], rtol=1e-9)
+        np.testing.assert_allclose(x, [*y, *b[n:]], rtol=1e-9)
+        more = rng.normal(size=(6, n)) @ A[:n, :n]  # Further equations that follow from the others change nothing.
+        x = more @ y
+        assert linalg.lu_solve(more.copy(), x, n, 6)
+        np.testing.assert_allclose(x[:n], y, rtol=1e-8)
+    for A in (np.ones((6, 3)), np.ones((3, 3)), np.zeros((2, 2))):
+        assert not linalg.lu_solve(A, np.ones(len(A)), A.shape[1], len(A))
     for small, fine in ((1.5e-10, True), (0.7e-10, False)):
         assert linalg.lu_solve(np.diag([1.0, small, -2.0 / 2.0]), np.ones(3), 3, 3) == fine
