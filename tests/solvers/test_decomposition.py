@@ -281,3 +281,15 @@ def test_a_family_of_three_parallel_axes_ends_where_the_elbow_does():
         }
         inside = any((x - low) % (2 * np.pi) <= high - low for low, high in ranges)
         assert ik.solve(robot, T, "lm", limits=box, restarts=60).success == inside
+
+
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+def test_a_shoulder_that_turns_freely_only_between_the_angles_tried_is_no_proof():
+    """The point where axes 5 and 6 meet is on axis 1, so joint 1 is free, but only in a narrow range can the wrist be placed."""
+    robot = robots.load("z1")
+    q = np.array([
+        -2.5346705476368263, -1.7704237138981915, -2.534897894327414, 0.12378176423196185,
+        -1.6359117737395439, -1.0812633013791575,
+    ])  # fmt: skip
+    T = robot.chain.forward(q)[0][0]
+    assert not ik.solve_all(robot, T, limits=False).complete

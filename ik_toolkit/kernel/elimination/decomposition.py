@@ -151,6 +151,8 @@ def split_wrist(d, pose, off, near):
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
             merged = A.merged or B.merged or C.merged or D.merged
             free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
+            if D.number == 0 and (A.free or B.free or C.free):
+                d.found[0, 1], d.found[0, 7] = UNSURE, -1.0  # Other values of the free angle may have solutions.
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
                 z = turn_back(u, four, t[3])
@@ -211,6 +213,8 @@ def split_parallel(d, pose, off, near):
                 merged = A.merged or B.merged or C.merged or D.merged
                 free = 0 if A.free else 5 if loose else 1 if C.free else -1
                 put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
+    if A.free and d.found[0, 0] == 0.0:
+        d.found[0, 1], d.found[0, 7] = UNSURE, -1.0  # Values of joint 1 between those tried may have solutions.
 
 
 @inner
