@@ -42,9 +42,7 @@ class Retiming(NamedTuple):
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
-    followed: float = (
-        0.2  # largest error of a step, as a share of the tolerance; the step length in a joint path follows from it
-    )
+    followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; it sets the steps
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     harder: tuple[float, ...] = (10.0, 30.0)

@@ -42,9 +42,7 @@ class MotionEnd(NamedTuple):
 class Following(NamedTuple):
     """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
 
-    slices: int = (
-        64  # the first or last joint is fixed at so many values in turn, to find the points where curves begin
-    )
+    slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
     longest: float = 0.1  # longest step
     shortest: float = 1e-6  # shortest step; a curve that needs a shorter one is taken to end at a singular pose
     straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
