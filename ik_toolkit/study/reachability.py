@@ -16,7 +16,6 @@ import numpy as np
 from ..errors import IKError, InvalidOption, Portable, check_progress, whole
 from ..files import PARTIAL, as_output, require_place
 from ..kernel.counted_error import POSE, POSITION
-from ..kernel.records import AT
 from ..robot.robot import Robot
 from ..robot.rotation import angles_between
 from ..robot.tree import require_one_tip
@@ -26,7 +25,6 @@ from ..solvers.decide import Deciding
 from ..solvers.options import BatchOptions
 from ..solvers.plan import Plan
 from ..solvers.solve import Solver
-from ..solvers.status import SEARCHED, Status
 from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
 
@@ -50,14 +48,6 @@ class MapNotSaved(IKError):
         """Keep the map and the error that occurred while it was written."""
         super().__init__(f"{error.strerror or error}: {error.filename}; the map is in the error's `result`")
         self.result = result
-
-
-def proven_rows(batch: BatchResult) -> np.ndarray:
-    """Return which targets (N,) of a batch are proven to be out of reach: by a bound, a closed form or a certificate."""
-    if not batch.plan.row.closed:
-        return batch.proven
-    status, excess = batch.table[:, AT.status], batch.table[:, AT.excess]
-    return (status == Status.UNREACHABLE) | ((status == Status.LIMIT_BLOCKED) & (excess != SEARCHED))
 
 
 def decides(plan: Plan) -> bool:
@@ -240,7 +230,7 @@ class _Study:
         """Store the results of a batch for answers `rows` (m,); those already known to be reached stay so."""
         good = batch.success & self.inside(rows, batch)
         states = np.where(
-            good, Reach.YES, np.where(proven_rows(batch), Reach.NO, np.maximum(self.states[rows], failed))
+            good, Reach.YES, np.where(batch.proven, Reach.NO, np.maximum(self.states[rows], failed))
         ).astype(np.int8)
         changed = states != self.states[rows]
         self.states[rows] = states
