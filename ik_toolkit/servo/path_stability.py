@@ -25,7 +25,7 @@ from .stability import BEST_CA, WITHOUT, best_gains, complete, longest_step, map
 FAR = 0.15  # [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LeastRate:
     """The least sample rate at which a method is stable along a path.
 
@@ -49,6 +49,10 @@ class LeastRate:
     growth: np.ndarray
     largest_move: float
     message: str
+
+    def __repr__(self) -> str:
+        """Return the message."""
+        return f"LeastRate: {self.message}"
 
 
 def least_rate(
@@ -117,7 +121,7 @@ def least_rate(
     return LeastRate(found, top, at_rest, bands, rates, growth, move, words)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StabilityChart:
     """Growth of a small error along a path over gains and speed; `ik.plot` draws it.
 
@@ -139,6 +143,11 @@ class StabilityChart:
     samples: np.ndarray
     travel: np.ndarray
     per_step: np.ndarray
+
+    def __repr__(self) -> str:
+        """Return what the chart is of, and how much of it is stable."""
+        points = f"{len(self.samples)} numbers of samples x {len(self.gain)} gains"
+        return f"StabilityChart({self.method}, {self.robot} along '{self.path}': {points}, {100 * self.stable.mean():.0f} % stable)"
 
     @property
     def stable(self) -> np.ndarray:

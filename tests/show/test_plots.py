@@ -210,8 +210,9 @@ def test_stability_along_a_path_is_drawn():
     found = ik.least_rate(robot, path, "cv", kappa=20.0, most=40.0)
     (axis,) = ik.plot(found).axes
     assert axis.get_title(loc="left") == f"stable from {found.rate:.4g} to 40 Hz"
-    assert np.allclose(axis.lines[0].get_xdata(), found.rates)
+    assert np.allclose(axis.lines[0].get_xdata(), found.rates) and repr(found) == f"LeastRate: {found.message}"
     with pytest.raises(InvalidOption, match="at least two values of gain"):
-        ik.plot(ik.stability_chart(robot, path, gain=[0.5], samples=[9]))
+        ik.plot(chart := ik.stability_chart(robot, path, gain=[0.5], samples=[9]))
+    assert "1 numbers of samples x 1 gains, 100 % stable" in repr(chart)
     with pytest.raises(InvalidOption, match="no chart of a GainCheck"):
         ik.plot(ik.check_gains("cv", 0.01, kappa=20.0))
