@@ -81,7 +81,7 @@ def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
 
 def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
     """Return the limits [rad or m] that the URDF gives each mimic joint that follows a joint of q; infinite where there is none."""
-    own = mimic_limits(robot.urdf) if robot.urdf else {}
+    own = mimic_limits(robot.urdf) if robot.urdf and robot.mimic_joints else {}
     ends = {joint: own[joint][3:] if joint in own else (-math.inf, math.inf) for joint in robot.mimic_joints}
     return {
         joint: (low if low > -NO_LIMIT else -math.inf, high if high < NO_LIMIT else math.inf)
@@ -91,8 +91,9 @@ def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
 
 def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
     """Return the mimic joints that are at a limit of their own at a checked q (n,), within 1e-9, by the joint they follow."""
-    at, found = joint_values(robot, q), {}
-    for joint, (low, high) in follower_limits(robot).items():
+    limits, found = follower_limits(robot), {}
+    at = joint_values(robot, q) if limits else {}
+    for joint, (low, high) in limits.items():
         if min(at[joint] - low, high - at[joint]) <= 1e-9:
             found.setdefault(robot.mimic_joints[joint].leader, []).append(joint)
     return found

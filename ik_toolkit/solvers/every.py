@@ -64,11 +64,9 @@ def _find(
     if found is None and kinds == POSES:
         (found,) = _certain(plan, T, q0, count)
     sliced = ""
-    if found is not None:
-        pass
-    elif plan.row.closed:
+    if found is None and plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
-    elif solver.name == "auto" and o.priority is None:
+    elif found is None and solver.name == "auto" and o.priority is None:
         found = listed_with_free_turns(plan, T, kinds, start, count)
         if found is None and kinds == POSES:
             found, sliced = on_self_motions(plan, T, start, count)

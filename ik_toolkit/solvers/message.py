@@ -229,7 +229,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
         return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
     if status == Status.STALLED and starts > 1:
         return f"closest {left} after {starts} starts"
-    stopped = _at_limits(result)
+    stopped = _at_limits(result) if status in (Status.STALLED, Status.LIMIT_BLOCKED) else ""
     at = f" with {stopped} at a limit" if stopped else ""
     if status == Status.STALLED and result._of.plan.descends:
         return f"no further progress{at} at {left} from the target: a local minimum of the error"

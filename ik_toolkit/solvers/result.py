@@ -217,8 +217,8 @@ class Result(ReadOnly):
         """Whether a failure is a proof that no joint values within the limits reach the target.
 
         Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`). A
-        target is also proven unreachable by a bound from the link lengths, and blocked by a closed form that fits exactly, unless
-        it leaves a prismatic joint free.
+        target is also proven unreachable by a bound from the link lengths or by a closed form that fits exactly; such a form proves
+        it blocked as well, where no prismatic joint is free.
         """
         row = self._of.row
         return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan))

@@ -101,6 +101,8 @@ class SQP(NamedTuple):
         """Return the parameters of the compiled step, see `LevelStep`."""
         assert asked is not None
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
-        few = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
-        plain = QUADRATIC.at_once if counted <= robot.n else few
+        if counted <= robot.n:
+            plain = QUADRATIC.at_once
+        else:  # `asked.rows` takes Jacobians and their singular values, so it is asked for here only.
+            plain = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)
