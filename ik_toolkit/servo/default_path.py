@@ -16,12 +16,6 @@ from .path_reach import References, freed
 from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
 DURATION = 10.0  # [s] default time for a path
-SWING = 0.15  # [rad or arm reaches] largest move of a joint in `joint_motion`
-ROOM = 0.5  # In `joint_motion` a joint moves at most this share of the distance to its farther limit.
-SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
-# A step at constant twist, such as the first step of method cv, may leave the path by this share of the tolerances.
-STRAIGHT = 0.4
-SEEN = 1000  # number of samples at which a path is compared with steps at constant twist
 
 
 def eight(
@@ -106,7 +100,7 @@ def joint_motion(
         q0: Joint values (n,) at start and end; default home.
         position_only: Leave the orientation free.
         duration: Time for the motion [s]. By default it is at least DURATION, and so long that joint speeds stay below half of
-            their limits and a step of dt at constant twist leaves the path by no more than a share of the tolerances.
+            their limits and a step of dt at constant twist leaves the path by no more than 0.4 of the tolerances.
         dt: Sample time [s] of the run.
         position_tolerance: Tolerance [m] of the run.
 
@@ -115,15 +109,16 @@ def joint_motion(
     """
     q0 = robot.home if q0 is None else robot.check_q(q0, "q0")
     up, down = np.maximum(robot.upper - q0, 0.0), np.maximum(q0 - robot.lower, 0.0)
-    swing = np.where(up >= down, 1.0, -1.0) * np.minimum(SWING * robot.chain.unit, ROOM * np.maximum(up, down))
+    # At most 0.15 rad (or arm reaches), and half of the way to the farther limit.
+    swing = np.where(up >= down, 1.0, -1.0) * np.minimum(0.15 * robot.chain.unit, 0.5 * np.maximum(up, down))
     turns = np.pi * (1.0 + np.arange(robot.n) % 2)
     if duration is None:
         top = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
-        duration = max(DURATION, float(np.ceil((np.abs(swing) * turns / top).max(initial=0.0) / SPEED)))
+        duration = max(DURATION, float(np.ceil((np.abs(swing) * turns / top).max(initial=0.0) / 0.5)))
         tolerances = positive(position_tolerance, "position_tolerance [m]"), ORIENTATION_TOLERANCE
-        t, trial = np.linspace(0.0, duration, SEEN), _swings(robot, q0, swing, turns, duration)
-        bends = [np.linalg.norm(one.at(t)[2].reshape(SEEN, 2, 3), axis=2) / tolerances for one in trial.values()]
-        missed = 0.5 * positive(dt, "dt [s]") ** 2 * float(np.max(bends)) / STRAIGHT
+        t, trial = np.linspace(0.0, duration, 1000), _swings(robot, q0, swing, turns, duration)
+        bends = [np.linalg.norm(one.at(t)[2].reshape(-1, 2, 3), axis=2) / tolerances for one in trial.values()]
+        missed = 0.5 * positive(dt, "dt [s]") ** 2 * float(np.max(bends)) / 0.4
         duration = max(duration, float(np.ceil(duration * np.sqrt(missed))))
     made = _swings(robot, q0, swing, turns, duration)
     made = {tip: freed(one) for tip, one in made.items()} if position_only else made

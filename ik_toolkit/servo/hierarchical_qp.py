@@ -23,20 +23,19 @@ from .equality_qp import NONE, SAME, equality, is_free
 DONE, STUCK, CONTRADICTION = range(3)  # outcomes: solved, out of iterations, infeasible
 # tolerance of bounds and inequalities; the unknowns are ratios of joint rates to joint speeds, and callers clip them to bounds
 OUT = 1e-12
-WRONG = 1e-11  # A multiplier of the second objective counts as having the wrong sign only if it is larger than this.
 SAME_TASK = 1e-9  # The task counts as met if its residual's norm is at most this share of the right side's norm.
-PER = 10  # largest number of iterations per unknown and inequality
 
 
 @inline
 def wrong(one, two, side):
     """Return by how much a multiplier (one / eps + two) is on the wrong side of zero; 0 if its sign is right.
 
-    side: the right sign, 1 or -1. A wrong first part gives a value above 1, so that it always counts more than a wrong second part.
+    side: the right sign, 1 or -1. A wrong first part gives a value above 1, so that it always counts more than a wrong second part,
+    which counts only above 1e-11, where it is not rounding.
     """
     if one * side != 0.0:
         return 1.0 - one * side if one * side < 0.0 else 0.0
-    return min(-two * side, 1.0) if two * side < -WRONG else 0.0
+    return min(-two * side, 1.0) if two * side < -1e-11 else 0.0
 
 
 @inline
@@ -117,7 +116,7 @@ def solve_levels(p):
         begin(p, attempt > 0)
         new = NONE
         adding = False  # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
-        for _ in range(PER * (p.planes + p.size)):
+        for _ in range(10 * (p.planes + p.size)):
             dependent = equality(p, new if new < p.planes else NONE)
             if not adding:
                 drop = dependent if dependent != NONE else wrong_most(p)

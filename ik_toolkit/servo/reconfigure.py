@@ -37,7 +37,6 @@ from .target_stream import STAND, STILL, WAIT
 from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
-TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
 REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as LEVER
 
 
@@ -70,7 +69,7 @@ class Postures:
         row = find_row(search_for(options.priority))
         one_attempt = Options(restarts=0, **exact, **o)
         self.plan = Plan(robot, row, row.load()(), one_attempt)
-        weights = tuple((speed / max(speed.max(), TINY)).tolist())
+        weights = tuple((speed / max(speed.max(), 1e-300)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
         # Errors of lower priority levels are no reason to look for another posture.
@@ -131,25 +130,40 @@ def locked(limits: np.ndarray) -> bool:
 
 
 FAST = VELOCITY | RECOVERING  # limits that hold a joint back only temporarily
-PROGRESS = 0.9  # an error below this share of the least error so far counts as progress
-# A search may take this share of the time between two updates, so that for a single arm it ends within 0.02 s.
-SHARE = 0.05
-ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
-ATTEMPTS = 96  # attempts in one search; if one attempt in ten succeeds, all fail in one of 25,000 searches
-RUSH = 0.02  # A search ends after this share of the duration of the best move found, because the arm is waiting.
-PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles each time while the target stands still
-LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
-# [m, or rotation matrix entries] If a standing target has moved further than this, a new search need not wait for the pause.
-ELSEWHERE = 0.02
-BARRED = 5  # number of postures remembered as blocked by a collision
-# [s] Joints at full speed should need this time from a posture to their position limits; what is missing adds to the move's cost.
-HEADROOM = 0.5
-ARRIVED = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-# [s] The same for a target that stands still: it cannot move away meanwhile, so the move goes on nearly to its end.
-CLOSE = 1e-3
-FAR = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
-STANDING = 0.3  # If the target stands still, a move is made once the error has cost this share of the move's cost.
-ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
+
+
+class Searching(NamedTuple):
+    """When another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
+
+    progress: float = 0.9  # an error below this share of the least error so far counts as progress
+    attempts: int = 96  # if one attempt in ten succeeds, all fail in one search of 25,000
+    attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
+    share: float = 0.05  # share of the time between two updates that a search may take, so that it ends within 0.02 s
+    rush: float = (
+        0.02  # a search ends after this share of the duration of the best move found, because the arm is waiting
+    )
+    pause: float = 3.0  # [s] after a search that found nothing; it doubles each time while the target stands still
+    longest: float = 16.0  # [s] longest pause, so that 99 % of the updates do not search
+    # [m, or rotation matrix entries] If a standing target has moved further, a new search need not wait for the pause.
+    elsewhere: float = 0.02
+
+
+class Moving(NamedTuple):
+    """What a move to another posture costs, when it is made, and when it ends."""
+
+    standing: float = 0.3  # to a standing target a move is made once the error has cost this share of the move's cost
+    on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
+    # [s] Joints at full speed should need this time from a posture to their position limits; what is missing is a cost.
+    headroom: float = 0.5
+    far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
+    barred: int = 5  # number of postures remembered as blocked by a collision
+    arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
+    # [s] The same for a target that stands still: it cannot move away meanwhile, so the move goes on nearly to its end.
+    close: float = 1e-3
+
+
+SEARCH = Searching()
+MOVE = Moving()
 
 
 class Reconfiguration:
@@ -165,7 +179,7 @@ class Reconfiguration:
         model: CollisionModel in which goals must be free of contact, or None.
         """
         self.robot, self.postures, self.model = robot, postures, model
-        self._attempt = ATTEMPT * len(robot.tips) ** 3
+        self._attempt = SEARCH.attempt * len(robot.tips) ** 3
         self.begin()
 
     def begin(self) -> None:
@@ -175,7 +189,7 @@ class Reconfiguration:
         self._barred: list[np.ndarray] = []  # postures that collide, or that a collision on the way blocks
         self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
         self.forget()
-        self._quiet, self._pause = 0.0, PAUSE  # [s] left of the present pause, and length of the next one
+        self._quiet, self._pause = 0.0, SEARCH.pause  # [s] left of the present pause, and length of the next one
         self._vain = np.zeros(0)  # target at the last search that found nothing
 
     def forget(self) -> None:
@@ -197,11 +211,11 @@ class Reconfiguration:
         stood = float(taken.stand[STAND.seconds])
         self._quiet -= taken.since
         if stood < taken.since:
-            self._quiet = min(self._quiet, PAUSE)
+            self._quiet = min(self._quiet, SEARCH.pause)
         error = taken.left
         if error < REACHED:
             self.forget()
-            self._pause, self._barred = PAUSE, []
+            self._pause, self._barred = SEARCH.pause, []
             return
         # A joint that is locked during a search would make every move last for ever.
         if self._left and locked(limits):
@@ -226,14 +240,14 @@ class Reconfiguration:
             return
         self._lost += error * dt
         self._stood += dt
-        if error < PROGRESS * self._least:
+        if error < SEARCH.progress * self._least:
             self._least, self._stood, self._left = error, 0.0, 0
         if self._stood <= WAIT:
             return
         rests = taken.stand[STAND.rest] >= WAIT
         stands = stood >= WAIT
         if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
-            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
+            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > SEARCH.elsewhere)
             # With a locked joint there are few postures, and an operator who locks one wants no large moves.
             if paused or locked(limits):
                 return
@@ -260,9 +274,9 @@ class Reconfiguration:
         Every other start is near q: it differs from q only in the joints at limits, or if there are none, it lies between q and a
         random configuration.
         """
-        self._left, self._spent, self._best = ATTEMPTS, 0.0, None
-        starts = self.robot.random_q(self._rng, ATTEMPTS) / self.robot.chain.unit
-        self._shares = self._rng.random((ATTEMPTS, 1))
+        self._left, self._spent, self._best = SEARCH.attempts, 0.0, None
+        starts = self.robot.random_q(self._rng, SEARCH.attempts) / self.robot.chain.unit
+        self._shares = self._rng.random((SEARCH.attempts, 1))
         starts[0] = q
         if self.held:
             others = np.ones(len(q), bool)
@@ -274,8 +288,8 @@ class Reconfiguration:
 
     def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
         """Make as many attempts of the search as an update has time for, and keep the best posture found."""
-        done = ATTEMPTS - self._left
-        part = slice(done, done + max(round(SHARE * dt / self._attempt), 1))
+        done = SEARCH.attempts - self._left
+        part = slice(done, done + max(round(SEARCH.share * dt / self._attempt), 1))
         starts, shares = self._starts[part], self._shares[part]
         if self._best is not None:  # Every other start lies between q and the best posture so far.
             odd = (np.arange(len(starts)) + done) % 2 == 1
@@ -284,9 +298,9 @@ class Reconfiguration:
         found, out = self.postures.find(np.repeat(T[None], len(starts), axis=0), starts, q, limits)
         if out:
             self._left = 0
-        missing = np.maximum(HEADROOM - headroom(found, limits), 0.0)
+        missing = np.maximum(MOVE.headroom - headroom(found, limits), 0.0)
         scored = [(time_left(q, p, limits) + more, p) for p, more in zip(found, missing.tolist(), strict=True)]
-        scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
+        scored = [one for one in scored if all(np.abs(one[1] - bad).max() > MOVE.far for bad in self._barred)]
         cost, p = min(scored, key=lambda one: one[0], default=(math.inf, q))
         if cost < (self._best[0] if self._best else math.inf):
             # A collision check takes up to a millisecond, so there is only one in an update.
@@ -295,7 +309,7 @@ class Reconfiguration:
             else:
                 self._best = cost, p, T.copy()
         self._spent += dt
-        if self._best is not None and self._spent >= RUSH * self._best[0]:
+        if self._best is not None and self._spent >= SEARCH.rush * self._best[0]:
             self._left = 0
 
     def _decide(self, taken: Taken, stood: float) -> None:
@@ -308,7 +322,9 @@ class Reconfiguration:
         q = taken.q
         self._time = time_left(q, goal, taken.limits)
         if stood < self._time and taken.stand[STAND.rest] < WAIT:
-            on_way = sum(self.postures.size(taken.error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
+            on_way = sum(self.postures.size(taken.error_at(q + part * (goal - q))) for part in MOVE.on_way) / len(
+                MOVE.on_way
+            )
             self._price = on_way * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
@@ -316,12 +332,12 @@ class Reconfiguration:
 
     def _enough(self, stands: bool) -> float:
         """Return the accumulated error [m s] that justifies the move last found."""
-        return self._price * (STANDING if stands else 1.0)
+        return self._price * (MOVE.standing if stands else 1.0)
 
     def _hold_off(self, T: np.ndarray) -> None:
         """Begin a pause in which no search is made for targets T (F, 4, 4)."""
         self._vain, self._quiet = T.copy(), self._pause
-        self._pause = min(2.0 * self._pause, LONGEST)
+        self._pause = min(2.0 * self._pause, SEARCH.longest)
 
     # ------------------------------------------------------------------------------------------------ on the way
     def go(
@@ -333,16 +349,16 @@ class Reconfiguration:
         If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma: weight
         of the new rate; late [s]: longest later step. code (n,) receives the bits of the limits that held joints back.
         """
-        goal, near = self.goal, ARRIVED
+        goal, near = self.goal, MOVE.arrived
         if goal is None or locked(limits):
             self.forget()
             return False
         if gap(T, self._place) <= STILL:
-            near = CLOSE
+            near = MOVE.close
         else:
             found, _ = self.postures.find(np.array([T, T]), np.array([goal, q]), q, limits)
             least = time_left(q, goal, limits)
-            found = [one for one in found if np.abs(one - goal).max() < FAR or time_left(q, one, limits) < least]
+            found = [one for one in found if np.abs(one - goal).max() < MOVE.far or time_left(q, one, limits) < least]
             if not found:
                 self.forget()
                 return False
@@ -367,7 +383,7 @@ class Reconfiguration:
 
     def _bar(self, q: np.ndarray) -> None:
         """Remember that there is a collision at joint values q (n,), or on the way to them."""
-        self._barred = [*self._barred, q][-BARRED:]
+        self._barred = [*self._barred, q][-MOVE.barred :]
 
 
 def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:

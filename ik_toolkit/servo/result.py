@@ -256,9 +256,6 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
 POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
 SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
-LOOKED = 200  # largest number of samples at which the constraints of a description are checked
-MORE = 1.01  # The error between samples is reported if it exceeds the error at the samples by this factor.
-LIMITS = ((viability.POSITION, "position"), (viability.VELOCITY, "speed"), (viability.ACCELERATION, "acceleration"))
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
@@ -312,10 +309,10 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
 
 
 def hold_against(result: TrackResult, robot: Any) -> None:
-    """Set CONSTRAINT_OPEN if a constraint of the robot is open in a successful run, at up to LOOKED samples."""
+    """Set CONSTRAINT_OPEN if a constraint of the robot is open in a successful run, at up to 200 samples."""
     if not result.success or not robot.constraints:
         return
-    rows = np.unique(np.linspace(0, len(result.q) - 1, LOOKED).round().astype(int))
+    rows = np.unique(np.linspace(0, len(result.q) - 1, 200).round().astype(int))
     broken = first_open(robot, result.q[rows], result.position_tolerance, result.orientation_tolerance)
     if broken is not None:
         result.status = TrackStatus.CONSTRAINT_OPEN
@@ -371,9 +368,10 @@ def _added(result: TrackResult, before: str) -> str:
 def _limit(result: TrackResult, joint: int) -> str:
     """Return the name of a joint, with the limit that was active most often while it slowed the clock."""
     codes = result.limited[result.pace == joint, joint]
-    counts = [int((codes & bit > 0).sum()) for bit, _ in LIMITS]
+    bits = {"position": viability.POSITION, "speed": viability.VELOCITY, "acceleration": viability.ACCELERATION}
+    counts = {limit: int((codes & bit > 0).sum()) for limit, bit in bits.items()}
     name = result.joint_names[joint]
-    return f"{name} ({LIMITS[int(np.argmax(counts))][1]} limit)" if any(counts) else name
+    return f"{name} ({max(counts, key=counts.__getitem__)} limit)" if any(counts.values()) else name
 
 
 def _between_samples(result: TrackResult) -> str:
@@ -387,9 +385,10 @@ def _between_samples(result: TrackResult) -> str:
     if not judged.any():
         return ""
     at_samples = result.t >= result.settle
-    more = result.between_position[judged].max() > MORE * result.position_error[at_samples].max()
+    # Less than 1 % more is not worth a word.
+    more = result.between_position[judged].max() > 1.01 * result.position_error[at_samples].max()
     if result.between_orientation is not None and result.orientation_error is not None:
-        more = more or result.between_orientation[judged].max() > MORE * result.orientation_error[at_samples].max()
+        more = more or result.between_orientation[judged].max() > 1.01 * result.orientation_error[at_samples].max()
     words = _error_words(result.between_position[judged].max(), result.between_orientation, judged)
     return f" Between samples: at most {words}." if more else " No more between samples."
 

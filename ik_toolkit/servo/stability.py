@@ -49,7 +49,6 @@ BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIP
 BEST_CA_RADIUS = -TRIPLE
 BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
 MOST_DELAY = 200.0  # [samples] largest delay; the mapping matrix has as many rows
-GRID = 25  # points per side of four search grids for the best gains under a delay, each a quarter as wide as the last
 
 
 def mapping_matrix(
@@ -197,11 +196,11 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
 
 @functools.cache
 def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
-    """Return the best gains under a delay [samples] for h = 1 s, by ever finer logarithmic grids around the best point so far."""
+    """Return the best gains under a delay [samples] for h = 1 s, by four logarithmic grids around the best point so far."""
     names = GAINS[method]
     middle, width = np.log(BEST[method]) - math.log(1.0 + delay), 3.0
     for _ in range(4):
-        axes = np.meshgrid(*([np.linspace(-width, width, GRID)] * len(names)), indexing="ij")
+        axes = np.meshgrid(*([np.linspace(-width, width, 25)] * len(names)), indexing="ij")
         points = middle + np.stack([axis.ravel() for axis in axes], axis=1)
         tried = (dict(zip(names, np.exp(point).tolist(), strict=True)) for point in points)
         matrices = np.array([delayed_matrix(method, 1.0, delay, **gains) for gains in tried])
