@@ -1,18 +1,20 @@
 """Subprocess that compiles MJCF for `mjcf.py`, so that a crash of MuJoCo ends this process only.
 
-MuJoCo applies defaults, frames, replication and angles. The process imports nothing from the toolkit except mesh_worker.py.
-Its job (JSON on stdin) has xml (without file references), memory [bytes] and seconds. It prints one line of JSON: the parts of
-the model, or {"error": sentence}. Values are in metres and radians, quaternions in the order w x y z.
+MuJoCo applies defaults, frames, replication and angles. Its job (JSON on stdin) has xml (without file references), memory
+[bytes] and seconds. It prints one line of JSON: the parts of the model, or {"error": sentence}. Values are in metres and
+radians, quaternions in the order w x y z.
 """
 
 import importlib
 import json
-import runpy
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+from ik_toolkit.robot.formats.sandbox import limit
 
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
@@ -129,7 +131,6 @@ def _main() -> None:
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
     mujoco: Any = importlib.import_module("mujoco")
-    limit = runpy.run_path(str(Path(__file__).parents[1] / "geometry" / "mesh_worker.py"))["limit"]
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

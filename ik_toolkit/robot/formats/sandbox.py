@@ -1,5 +1,6 @@
 """Asks a subprocess one question about an untrusted file, which can crash or exhaust that process only."""
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -35,3 +36,13 @@ def ask(
         return {"error": silent}
     except OSError as error:
         raise ModelError(f"the process that {does} cannot be started: {error.strerror}") from None
+
+
+def limit(what: str, value: int) -> None:
+    """Limit a resource of this process where the system supports it."""
+    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
+        import resource
+
+        number = getattr(resource, f"RLIMIT_{what}")
+        hard = resource.getrlimit(number)[1]
+        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
