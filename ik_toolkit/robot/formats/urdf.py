@@ -96,7 +96,7 @@ class Item:
 
     def first(self, tag: str) -> Mapping[str, str] | None:
         """Return the attributes of the first element with this tag, or None; as in urdfdom, later ones do not count."""
-        return next((part.attributes for part in self.inside if part.tag == tag and not part.above), None)
+        return next((part.attributes for part in self.own(tag)), None)
 
 
 class HasMacros(ModelError):
@@ -270,15 +270,22 @@ def attribute_numbers(text: str) -> list[float] | None:
         return None
 
 
+def finite_at(attributes: Mapping[str, str] | None, key: str, count: int = 1, default: str = "") -> list[float]:
+    """Return the numbers in an attribute if they are this many and all finite, otherwise an empty list."""
+    values = attribute_numbers((attributes or {}).get(key, default)) or []
+    return values if len(values) == count and all(map(math.isfinite, values)) else []
+
+
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     """Return the attributes of an <origin> with its quaternion as rpy.
 
     They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is no rotation.
     """
-    quaternion = attribute_numbers(origin.get("quat_xyzw", "")) or []
-    if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
+    quaternion = finite_at(origin, "quat_xyzw", 4)
+    length = math.hypot(*quaternion)
+    if "rpy" in origin or not 1e-6 < length < math.inf:
         return origin
-    unit = [x / math.hypot(*quaternion) for x in quaternion]
+    unit = [x / length for x in quaternion]
     from ..rotation import matrix_rpy, quat_matrix
 
     rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))

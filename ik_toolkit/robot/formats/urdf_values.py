@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .finding import Finding, did_you_mean, error_finding, odd
 from .mimic import MOVING
-from .urdf import ENDLESS, NUMBERS, SHAPES, InnerElement, Item, attribute_numbers, plain_origin
+from .urdf import ENDLESS, NUMBERS, SHAPES, InnerElement, Item, attribute_numbers, finite_at, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
 SHAPE = {  # These attributes give the size of each shape, so it must have them.
@@ -115,8 +115,8 @@ def _origin(item: Item, part: InnerElement, found: Callable[..., Finding]) -> It
     if any(map(_degrees, rpy)):
         told = f'its <origin rpy="{given["rpy"]}"> looks like degrees'
         yield odd(item, told, IN_DEGREES, part.line, at_load=item.tag == "joint")
-    quaternion = attribute_numbers(given.get("quat_xyzw", "")) or []
-    if len(quaternion) != 4 or not all(map(math.isfinite, quaternion)):
+    quaternion = finite_at(given, "quat_xyzw", 4)
+    if not quaternion:
         return
     if "rpy" in given:
         yield found(item, "its <origin> has both rpy and quat_xyzw", "keep one of them", part.line)
@@ -153,8 +153,8 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
         yield odd(joint, told, 'write <axis xyz="0 0 1"/> for the plane of x and y', line, at_load=True)
     if parts and "xyz" not in parts[0].attributes:
         yield odd(joint, "its <axis> has no xyz: read as 1 0 0", 'write <axis xyz="0 0 1"/>', line, at_load=True)
-    axis = attribute_numbers(parts[0].attributes.get("xyz", "1 0 0")) if parts else None
-    if axis is None or len(axis) != 3 or not all(map(math.isfinite, axis)):
+    axis = finite_at(parts[0].attributes, "xyz", 3, "1 0 0") if parts else []
+    if not axis:
         return
     length = math.hypot(*axis)
     if not length > 1e-6:
