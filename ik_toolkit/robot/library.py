@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import MissingExtra, RobotNotFound, near_match
+from ..text import first_few
 from .formats.urdf import is_text
 from .packages import MANIFESTS
 
@@ -238,9 +239,7 @@ def _only_model(source: str | Path) -> Path | None:
     if len(models) == 1 or named:
         return (named or models)[0].absolute()
     if models:
-        names = ", ".join(path.name for path in models[:5]) + (
-            f" and {len(models) - 5} more" if len(models) > 5 else ""
-        )
+        names = first_few([path.name for path in models])
         raise RobotNotFound(f"'{str(source)[:200]}' is a folder with several descriptions; give one of them: {names}")
     return None
 

@@ -34,14 +34,17 @@ BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
 ENDLESS = 1e16  # A joint limit of this size means "no limit".
 # number of degrees of freedom by joint type
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+SIZES = {  # Maps a shape to its attributes of sizes, and each to how many numbers it holds.
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+}
 NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "mimic": {"multiplier": 1, "offset": 1},
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
+    **SIZES,
     "mesh": {"scale": 3},
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),

@@ -16,19 +16,13 @@ import pinocchio as pin
 
 from ...errors import ModelError
 from ..base import put_on
-from ..formats.urdf import Item, finite_at, parse
+from ..formats.urdf import SIZES, Item, finite_at, parse
 from ..rotation import rpy_matrix
 from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_packages, read_meshes
 
 # Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
-SIZES = {  # Maps a shape to the URDF attributes of its size and how many numbers they hold.
-    "box": {"size": 3},
-    "sphere": {"radius": 1},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-}
 ROLES = {"surface": "collision", "look": "visual"}
 Problems = list[tuple[str, str]]  # A problem names an element and what is wrong with it.
 

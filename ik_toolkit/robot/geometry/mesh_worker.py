@@ -96,25 +96,20 @@ def check_xml(raw: bytes) -> None:
 def check_instances(inside: dict[str, list]) -> None:
     """Reject nodes that contain themselves, are nested too deep, or multiply (two instances of two instances of ...)."""
     size: dict[str, int] = {}
+
+    def visit(node: str, above: tuple[str, ...]) -> int:
+        if node in above:
+            raise MeshRefused(f"its node {node[:60]!r} contains itself")
+        if len(above) > DEEP:
+            raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
+        if node not in size:
+            size[node] = 1 + sum(visit(child, (*above, node)) for child in inside.get(node, ()))
+            if size[node] > REPEATED:
+                raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
+        return size[node]
+
     for root in inside:
-        path = [(root, iter(inside[root]))] if root not in size else []
-        on_path = {root}
-        while path:
-            node, rest = path[-1]
-            child = next(rest, None)
-            if child is None:
-                size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
-                if size[node] > REPEATED:
-                    raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
-                path.pop()
-                on_path.discard(node)
-            elif child in on_path:
-                raise MeshRefused(f"its node {child[:60]!r} contains itself")
-            elif child in inside and child not in size:
-                path.append((child, iter(inside[child])))
-                on_path.add(child)
-                if len(path) > DEEP:
-                    raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
+        visit(root, ())
 
 
 def inline(raw: bytes, references: References) -> bytes:
