@@ -12,7 +12,7 @@ import re
 import uuid
 import zipfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -118,10 +118,8 @@ class WholeFile:
             self.drop()
             return None
         kept = self.path.with_name(self.path.name + suffix)
-        try:
+        with suppress(OSError):
             self.stream.close()  # on a full disk this fails again; the incomplete rest is cut off below
-        except OSError:
-            pass
         try:
             os.truncate(self.part, self._good)
             os.replace(self.part, kept)
@@ -132,10 +130,8 @@ class WholeFile:
 
     def drop(self) -> None:
         """Close and remove the temporary file."""
-        try:
+        with suppress(OSError):
             self.stream.close()
-        except OSError:
-            pass
         if self._place is not None:
             self.part.unlink(missing_ok=True)
 

@@ -34,6 +34,11 @@ def in_shell(text: str) -> str:
     return text if program() == "ik" else re.sub(called, lambda _: f"{program()} ", text)
 
 
+def first_few(words: Sequence[str], most: int = 5) -> str:
+    """Return the first words of a list, and how many more there are: 'a, b and 3 more'."""
+    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
+
+
 def figure(value: float, digits: int = 3) -> str:
     """Write a number with significant digits as a person does: 3880, 0.0012, 2.5e-6."""
     text = f"{value:.{digits}g}"

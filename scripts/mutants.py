@@ -297,7 +297,8 @@ def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
 @functools.cache
 def scripts() -> set[str]:
     """Files that run in processes of their own, and what these load from beside them."""
-    beside = ("robot/packages.py", *(f"robot/formats/xacro_{name}.py" for name in ("values", "files", "library")))
+    beside = ("robot/packages.py", "robot/formats/sandbox.py")
+    beside += tuple(f"robot/formats/xacro_{name}.py" for name in ("values", "files", "library"))
     return set() if of_kernel else {*beside, *(f for f in files() if f.endswith("_worker.py"))}
 
 
@@ -305,12 +306,14 @@ def plant_script(file: str, text: str) -> None:
     """Let processes that this one starts run a changed copy of a script."""
     folder = Path(tempfile.mkdtemp(prefix="mutant_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    shutil.copytree(PACKAGE / "robot", folder / "robot", ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / file).write_text(text)
+    place = folder / PACKAGE.name
+    shutil.copytree(PACKAGE, place, ignore=shutil.ignore_patterns("__pycache__"))
+    (place / file).write_text(text)
+    os.environ["PYTHONPATH"] = str(folder)  # A script imports the package it lies in.
     for module in list(sys.modules.values()):
         worker = vars(module).get("WORKER") if getattr(module, "__name__", "").startswith("ik_toolkit.") else None
         if isinstance(worker, Path):
-            module.WORKER = folder / worker.relative_to(PACKAGE)  # type: ignore[attr-defined]
+            module.WORKER = place / worker.relative_to(PACKAGE)  # type: ignore[attr-defined]
 
 
 # ------------------------------------------------------------------------------------------------------------ reach

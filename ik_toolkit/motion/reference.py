@@ -71,9 +71,7 @@ class Reference(Holds):
             InvalidOption: t is not finite or has the wrong shape.
             InvalidTarget: The reference's function returned arrays of the wrong shape.
         """
-        times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
-        if times.ndim > 1 or not np.isfinite(times).all():
-            raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
+        times = read_times(t)
         n = len(times)
         wanted = f"reference '{self.name}' must give arrays ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
         made = self.function(times)
@@ -105,6 +103,14 @@ class Reference(Holds):
     def __repr__(self) -> str:
         """Return a line with the name, the duration and whether poses or positions are asked for."""
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
+
+
+def read_times(t: Any) -> np.ndarray:
+    """Return a time or times [s] as an array (N,). Raises InvalidOption if they are not finite or have the wrong shape."""
+    times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
+    if times.ndim > 1 or not np.isfinite(times).all():
+        raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
+    return times
 
 
 def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

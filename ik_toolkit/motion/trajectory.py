@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, floats
+from ..errors import InvalidOption
 from ..files import as_path, write_table, write_whole
 from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
 from ..style import BAD, GOOD
 from ..text import TextTable
-from .reference import Reference, Samples
+from .reference import Reference, Samples, read_times
 from .time_law import coordinate_at
 
 # [s] step of the central difference for dJ/dt along the motion; its error falls with the square of the step
@@ -106,10 +106,7 @@ class Trajectory:
         Raises:
             InvalidOption: t is not finite or has the wrong shape.
         """
-        times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
-        if times.ndim > 1 or not np.isfinite(times).all():
-            raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
-        q, dq, ddq, _ = sample(self.pieces, times)
+        q, dq, ddq, _ = sample(self.pieces, read_times(t))
         return (q, dq, ddq) if np.ndim(t) else (q[0], dq[0], ddq[0])
 
     def to_csv(self, path: str | Path) -> Path:

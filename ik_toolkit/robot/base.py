@@ -82,6 +82,18 @@ class Given(NamedTuple):
         return [(own.idx_q, other.idx_q, own.nq) for own, other in pairs]
 
 
+def joint_value(joint: Any, full: np.ndarray) -> float:
+    """Return the value [rad or m] that a joint of one degree of freedom has in a configuration (nq,)."""
+    x = full[joint.idx_q : joint.idx_q + joint.nq]
+    return float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
+
+
+def put_joint(joint: Any, full: np.ndarray, value: float) -> None:
+    """Write the value [rad or m] of a joint of one degree of freedom into a configuration (nq,)."""
+    x = (value,) if joint.nq == 1 else (math.cos(value), math.sin(value))
+    full[joint.idx_q : joint.idx_q + joint.nq] = x
+
+
 def _size(block: UnfoldedJoint) -> int:
     return {"JointModelFreeFlyer": 7, "JointModelPlanar": 4, "JointModelSpherical": 4}.get(block.kind, 3)
 

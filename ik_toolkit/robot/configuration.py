@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
-from .base import unfold
+from .base import joint_value, put_joint, unfold
 from .formats.mimic import Tie, mimic_limits
-from .probe import NO_LIMIT
+from .probe import NO_LIMIT, mimics
 from .ros import read_joint_state
 
 
@@ -74,9 +74,8 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
 
 def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
     """Yield the name of every mimic joint of a model, and how it follows its leader."""
-    for j, leader in zip(model.mimicking_joints, model.mimicked_joints, strict=True):
-        tie = model.joints[j].extract()
-        yield model.names[j], Tie(model.names[leader], tie.scaling, tie.offset)
+    for j, (leader, ratio, offset) in mimics(model).items():
+        yield model.names[j], Tie(model.names[leader], ratio, offset)
 
 
 def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
@@ -111,8 +110,7 @@ def joint_values(robot: Any, q: np.ndarray) -> dict[str, float]:
     at = dict(zip(robot.joint_names, q.tolist(), strict=True))
     for name, joint in simple_joints(robot.model):
         if name not in at:
-            x = robot.rest[joint.idx_q : joint.idx_q + joint.nq]
-            at[name] = float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
+            at[name] = joint_value(joint, robot.rest)
     return at | {joint: tie.ratio * at[tie.leader] + tie.offset for joint, tie in leaders_of(robot.model)}
 
 
@@ -143,6 +141,5 @@ def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.nda
             and joint.nv == 1
             and (rest is None or name in robot.joint_names or name in robot.mimic_joints)
         ):
-            x = values[name]
-            full[joint.idx_q : joint.idx_q + joint.nq] = (math.cos(x), math.sin(x)) if joint.nq == 2 else x
+            put_joint(joint, full, values[name])
     return full if given is None else given.form(made, full)

@@ -14,8 +14,9 @@ import pinocchio as pin
 
 from ..errors import ModelError
 from ..text import angle, equations, length
+from .base import joint_value, put_joint
 from .formats.mimic import mimic_limits
-from .probe import JointPath, limits
+from .probe import JointPath, limits, mimics
 
 STEPS, TRIES = 40, 5  # numbers of Levenberg-Marquardt steps and of starts, for closing a loop by joints off the path
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
@@ -37,6 +38,11 @@ class Loop(NamedTuple):
     name: str
     ends: tuple[End, End]
     weld: bool
+
+    @property
+    def kind(self) -> str:
+        """What the constraint is called in messages."""
+        return "weld" if self.weld else "loop"
 
 
 class LinearLength(NamedTuple):
@@ -62,6 +68,11 @@ class Relation(NamedTuple):
     curve: tuple[float, ...]
     low: float = 0.0
     high: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """What the relation is called in messages."""
+        return "equality" if self.low == self.high else "range of tendon"
 
 
 Constraint = Loop | Relation
@@ -113,10 +124,8 @@ class Closure:
         """Find the joints on which each constraint depends."""
         self.robot, self.model = robot, robot.model
         model = self.model
-        lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
-        self.ratio = {
-            j: (lead.get(j, j), *_scaling(model, j)) for j in range(1, model.njoints) if model.joints[j].nvExtended == 1
-        }
+        single = [j for j in range(1, model.njoints) if model.joints[j].nvExtended == 1]
+        self.ratio = {j: (j, 1.0, 0.0) for j in single} | mimics(model)
         moving = {model.getJointId(joint) for joint in robot.joint_names}
         locked = {model.getJointId(joint) for joint in robot.locked_joints}
         groups: list[tuple[list[Constraint], set[int]]] = []
@@ -176,7 +185,7 @@ class Closure:
                 open_by = self._open(constraint, off, position, orientation)
                 holds &= not open_by
                 said.append(
-                    f"the {_kind(constraint)} '{constraint.name}' of the description {_state(constraint, open_by, moved)}"
+                    f"the {constraint.kind} '{constraint.name}' of the description {_state(constraint, open_by, moved)}"
                 )
         return Kept(holds, "; ".join(said))
 
@@ -232,7 +241,7 @@ class Closure:
         total = -one.zero if one.known else np.nan
         for name, factor in one.joints:
             leader, ratio, offset = self.ratio[model.getJointId(name)]
-            total += factor * (ratio * self._value(leader, full) + offset)
+            total += factor * (ratio * joint_value(model.joints[leader], full) + offset)
             slope[model.joints[leader].idx_v] += factor * ratio
         for a, b, factor in one.lines:
             (p, J, _), (s, K, _) = self._point(a), self._point(b)
@@ -242,16 +251,12 @@ class Closure:
                 slope += factor * (p - s) / far @ (J[:3] - K[:3])
         return total, slope
 
-    def _value(self, j: int, full: np.ndarray) -> float:
-        i = self.model.joints[j].idx_q
-        return float(np.arctan2(full[i + 1], full[i])) if self.model.joints[j].nq == 2 else float(full[i])
-
     # -------------------------------------------------------------------------------------------- closing
     def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
         """Move a group's joints in `full` (nq,) so that its constraints are violated least; return names and values."""
         if not group.joints:
             return []
-        rest = np.array([self._value(j, full) for j in group.joints]).clip(group.lower, group.upper)
+        rest = np.array([joint_value(self.model.joints[j], full) for j in group.joints]).clip(group.lower, group.upper)
         span = np.where(np.isfinite(group.upper - group.lower), group.upper - group.lower, 2.0 * np.pi)
         low = np.where(np.isfinite(group.lower), group.lower, rest - 0.5 * span)
         best, least = rest, np.inf
@@ -266,9 +271,7 @@ class Closure:
 
     def _write(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> None:
         for j, value in zip(group.joints, x, strict=True):
-            joint = self.model.joints[j]
-            i = joint.idx_q
-            full[i : i + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else value
+            put_joint(self.model.joints[j], full, value)
 
     def _stack(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of a group, and their derivatives with respect to its joints."""
@@ -306,20 +309,6 @@ class Closure:
                 if damping > 1e6:
                     break
         return x, float(np.linalg.norm(off))
-
-
-def _scaling(model: pin.Model, j: int) -> tuple[float, float]:
-    """Return ratio and offset of joint j if it follows another (q_j = ratio q_leader + offset), else 1 and 0."""
-    if j not in list(model.mimicking_joints):
-        return 1.0, 0.0
-    joint = model.joints[j].extract()
-    return float(joint.scaling), float(joint.offset)
-
-
-def _kind(constraint: Constraint) -> str:
-    if isinstance(constraint, Loop):
-        return "loop"
-    return "equality" if constraint.low == constraint.high else "range"
 
 
 def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:

@@ -8,12 +8,13 @@ import importlib.util
 import io
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import MissingExtra, RobotNotFound, near_match
+from ..text import first_few
 from .formats.urdf import is_text
 from .packages import MANIFESTS
 
@@ -127,16 +128,16 @@ def _data_root() -> Path | None:
 
 
 def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
-    """Return URDF path and package_dirs of an arm of the example-robot-data wheel (version 6, which has data only).
+    """Return URDF path and package_dirs of a robot of the example-robot-data wheel (version 6, which has data only).
 
     Raises RobotNotFound for an unknown name, with a near match and all names, MissingExtra without the wheel.
     """
-    if name not in DATA_ROBOTS:
+    if name not in DATA_ROBOTS and name not in data_files():
         raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
     root = _data_root()
     if root is None:
         raise MissingExtra(DATA_PACKAGE, "robots")
-    path = root / "robots" / DATA_ROBOTS[name][0]
+    path = data_files().get(name) or root / "robots" / DATA_ROBOTS[name][0]
     if not path.is_file():
         raise RobotNotFound(f"the installed {DATA_PACKAGE} has no file {path}; version 6 is expected")
     return path, (root.parent,)
@@ -169,6 +170,20 @@ def list_robots(everything: bool = False) -> list[RobotEntry]:
     return [*shipped_robots().values(), *data]
 
 
+@contextlib.contextmanager
+def _fetching(name: str, package: str, command: str) -> Iterator[None]:
+    """Hide the progress that a download in the block prints. Raises RobotNotFound with a command to run if it fails."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    except Exception as error:  # A download by git can raise any exception.
+        last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        said = last.strip().removeprefix("stderr: ").strip("'")[:200]
+        raise RobotNotFound(
+            f"'{name}' is not in the cache of {package}, and it could not be fetched ({said}); with a network, run: {command}"
+        ) from None
+
+
 def _described(name: str) -> RobotEntry:
     """Find a name of the robot_descriptions package in its cache. Raises RobotNotFound, MissingExtra, ModelError."""
     if importlib.util.find_spec("robot_descriptions") is None:
@@ -178,21 +193,8 @@ def _described(name: str) -> RobotEntry:
     if name not in DESCRIPTIONS:
         near = [known for known in DESCRIPTIONS if known.startswith(name)]
         raise RobotNotFound(f"robot_descriptions has no '{name}'.{near_match(name, near or DESCRIPTIONS)}")
-    try:
-        # A download prints its progress, which is hidden.
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # git can raise any exception.
-        said = (
-            (str(error).strip().splitlines() or [type(error).__name__])[-1]
-            .strip()
-            .removeprefix("stderr: ")
-            .strip("'")[:200]
-        )
-        raise RobotNotFound(
-            f"'{name}' is not in the cache of robot_descriptions, and it could not be fetched ({said}); with a network, run: "
-            f"python -m robot_descriptions pull {name}"
-        ) from None
+    with _fetching(name, "robot_descriptions", f"python -m robot_descriptions pull {name}"):
+        module = importlib.import_module(f"robot_descriptions.{name}")
     path = Path(
         next(getattr(module, key) for key in ("URDF_PATH", "XACRO_PATH", "MJCF_PATH") if getattr(module, key, None))
     )
@@ -218,16 +220,9 @@ def _menagerie(name: str) -> Path:
     names = package.names()
     if name not in names:
         raise RobotNotFound(f"MuJoCo's menagerie has no '{name[:200]}'.{near_match(name, names)}")
-    try:
-        # A download prints its progress, which is hidden.
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            return Path(package.get(name).xml(package.get(name).default_model))
-    except Exception as error:  # A download can raise any exception.
-        said = (str(error).strip().splitlines() or [type(error).__name__])[-1][:200]
-        raise RobotNotFound(
-            f"'{name}' is not in the cache of mujoco-menagerie, and it could not be fetched ({said}); with a network, run: "
-            f"python -c 'import mujoco_menagerie as m; m.prefetch([\"{name}\"])'; or {advice}"
-        ) from None
+    command = f"python -c 'import mujoco_menagerie as m; m.prefetch([\"{name}\"])'; or {advice}"
+    with _fetching(name, "mujoco-menagerie", command):
+        return Path(package.get(name).xml(package.get(name).default_model))
 
 
 def _only_model(source: str | Path) -> Path | None:
@@ -244,9 +239,7 @@ def _only_model(source: str | Path) -> Path | None:
     if len(models) == 1 or named:
         return (named or models)[0].absolute()
     if models:
-        names = ", ".join(path.name for path in models[:5]) + (
-            f" and {len(models) - 5} more" if len(models) > 5 else ""
-        )
+        names = first_few([path.name for path in models])
         raise RobotNotFound(f"'{str(source)[:200]}' is a folder with several descriptions; give one of them: {names}")
     return None
 
@@ -271,22 +264,11 @@ def find(source: str | Path) -> RobotEntry:
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
     name = str(source)
-    if name in DATA_ROBOTS:
+    if name in DATA_ROBOTS or name in data_files():
         path, folders = example_robot_data(name)
-        return RobotEntry(
-            name=name,
-            source=path,
-            path=path,
-            tips=DATA_ROBOTS[name][1],
-            package_dirs=folders,
-            description=f"{DATA_PACKAGE}: {DATA_ROBOTS[name][0]}",
-        )
-    if name in data_files():
-        path = data_files()[name]
-        inside = path.relative_to(path.parents[2]).as_posix()
-        return RobotEntry(
-            name, path, path, package_dirs=example_robot_data("panda")[1], description=f"{DATA_PACKAGE}: {inside}"
-        )
+        inside = path.relative_to(folders[0] / DATA_PACKAGE / "robots").as_posix()
+        tips = DATA_ROBOTS[name][1] if name in DATA_ROBOTS else ()
+        return RobotEntry(name, path, path, None, tips, None, folders, f"{DATA_PACKAGE}: {inside}")
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if name and Path(shown).is_dir():
         raise RobotNotFound(f"the folder '{shown}' contains no robot description")

@@ -12,6 +12,7 @@ from ..errors import InvalidOption, ModelError, RobotNotFound
 from .base import carried
 from .constraints import Constraint
 from .formats.mjcf import mjcf_to_urdf
+from .formats.srdf import srdf_of
 from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read, source_text
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
@@ -102,11 +103,16 @@ def built_model(text: str, name: str = "the URDF") -> pin.Model:
 
 
 def read_both(
-    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
-) -> tuple[RobotEntry, dict[str, Any], Any]:
-    """Read a source as `read_source` does, and return the SRDF too: as text if it is named as a xacro file."""
+    source: str | Path,
+    package_dirs: Iterable[str | Path],
+    xacro_args: Mapping[str, Any] | None,
+    srdf: Any,
+    group: str | None,
+) -> tuple[RobotEntry, dict[str, Any]]:
+    """Read a source as `read_source` does, and its SRDF (see `srdf_of`), which may be named as a xacro file."""
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
-    return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
+    given = expanded(srdf, made["package_dirs"], xacro_args)
+    return entry, made | {"srdf": srdf_of(given, made["model"], entry.path, made.pop("states"), group)}
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:

@@ -1,9 +1,5 @@
-"""Finds a ROS package: next to the file, in given folders, on ROS's search paths, and in installed data packages.
+"""Finds a ROS package: next to the file, in given folders, on ROS's search paths, and in installed data packages."""
 
-It imports nothing from the toolkit because the subprocess that expands xacro also loads it.
-"""
-
-import importlib.metadata
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -65,6 +61,8 @@ def _places(
             yield root / name, False
             yield from ((found, False) for found in sorted(root.glob(f"*/{name}")))
             yield from ((found, True) for found in _below(root, INSIDE) if _named(found, name))
+    import importlib.metadata  # imported here because it takes longer than a search
+
     for distribution, folders in DATA.items():
         try:
             found = importlib.metadata.distribution(distribution)

@@ -107,7 +107,7 @@ def read_poses(
         columns = (
             _tip_columns(path.name, top.header, tips, given)
             if tips
-            else {"": _header(path.name, top.header, times, given)}
+            else {"": _places([cell.lower() for cell in top.header], path.name, ["t"] * times, "", given)}
         )
         if not top.filled:
             raise InvalidTarget(
@@ -196,16 +196,11 @@ def _read_top(path: Path, first: str) -> _Top:
     return _Top([without_mark(cell.strip()) for cell in next(csv.reader([line], delimiter=mark), [])], mark, k, filled)
 
 
-def _header(name: str, header: list[str], times: bool, given: Convention) -> list[int]:
-    """Return the indices of the columns to read: t if `times`, then x, y, z, then a quaternion or angles if any.
-
-    Angles are in the order in which the rotations follow one another.
-    """
-    return _places([cell.lower() for cell in header], name, ["t"] if times else [], "", given)
-
-
 def _places(header: list[str], file: str, needed: list[str], prefix: str, given: Convention) -> list[int]:
-    """Return the indices of the columns of one pose, whose names begin with `prefix`, after those in `needed`."""
+    """Return the indices of the columns of one pose, whose names begin with `prefix`, after those in `needed`.
+
+    They are x, y, z, then a quaternion or angles if any; angles are in the order in which the rotations follow one another.
+    """
     position, *kinds = (tuple(prefix + name for name in names) for names in (POSITION, *ORIENTATIONS))
     needed = [*needed, *position]
     first = ",".join(needed)

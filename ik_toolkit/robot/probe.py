@@ -51,6 +51,13 @@ class JointPath(NamedTuple):
     circle: np.ndarray  # Whether each coordinate (n,) is stored as (cos, sin).
 
 
+def mimics(model: pin.Model) -> dict[int, tuple[int, float, float]]:
+    """Map the id of each mimic joint to the id of its leader, the ratio, and the offset [rad or m]."""
+    followers = zip(model.mimicking_joints, model.mimicked_joints, strict=True)
+    found = ((j, leader, model.joints[j].extract()) for j, leader in followers)
+    return {j: (leader, joint.scaling, joint.offset) for j, leader, joint in found}
+
+
 class Motionless(ModelError):
     """The error of a robot in which no joint moves the tip."""
 
@@ -74,8 +81,9 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     up, down = above(base), above(tip)[::-1]
     shared = set(up) & set(down)
     up, down = ([j for j in joints if j not in shared] for joints in (up, down))
-    lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
-    still = {j for j in lead if model.joints[j].extract().scaling == 0.0}
+    ties = mimics(model)
+    lead = {j: leader for j, (leader, _, _) in ties.items()}
+    still = {j for j, (_, ratio, _) in ties.items() if ratio == 0.0}
     leaders: list[int] = []
     for j in down:
         leader = lead.get(j, j)

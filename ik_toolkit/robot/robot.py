@@ -16,12 +16,12 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
-from .base import on_own_base
+from .base import on_own_base, put_joint
 from .configuration import values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
-from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
+from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf
 from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
@@ -144,8 +144,7 @@ class Robot(Joints):
             MissingExtra: xacro or mujoco is needed and not installed.
         """
         tip = one_word(tip, ee_link)
-        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
+        entry, made = read_both(source, package_dirs, xacro_args, srdf, group)
         if group is not None:
             start, end = group_chain(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
@@ -204,11 +203,9 @@ class Robot(Joints):
         number = floats(value, what, InvalidConfiguration)
         if number.shape != () or not np.isfinite(number):
             raise InvalidConfiguration(f"{what}, not {number.tolist()}")
-        value = float(number)
-        j = self.model.joints[self.model.getJointId(joint)]
-        self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
+        put_joint(self.model.joints[self.model.getJointId(joint)], self.rest, float(number))
         if counts:
-            self.locked_joints[joint] = value
+            self.locked_joints[joint] = float(number)
 
     def _settle(self, model: pin.Model) -> None:
         """Take over a model, placed on its base, and set everything that follows from it: path, limits, home and chain."""

@@ -133,22 +133,9 @@ def joint_trajectory(
     """Return a trajectory_msgs/JointTrajectory with a point for each row of t (N,) [s] and q, dq, ddq (N, n) [rad or m, s]."""
     whole = np.floor(t).astype(int)
     nanos = np.minimum(np.round((t - whole) * 1e9), LARGEST_NANOSEC).astype(int)
-    rows = zip(
-        q.tolist(),
-        dq.tolist(),
-        [[]] * len(q) if ddq is None else ddq.tolist(),
-        whole.tolist(),
-        nanos.tolist(),
-        strict=True,
-    )
-    points = [
-        {
-            "positions": positions,
-            "velocities": velocities,
-            "accelerations": accelerations,
-            "effort": [],
-            "time_from_start": {"sec": sec, "nanosec": nanosec},
-        }
-        for positions, velocities, accelerations, sec, nanosec in rows
-    ]
+    times = [{"sec": sec, "nanosec": nanosec} for sec, nanosec in zip(whole.tolist(), nanos.tolist(), strict=True)]
+    none: list[list[float]] = [[]] * len(q)
+    columns = (q.tolist(), dq.tolist(), none if ddq is None else ddq.tolist(), none, times)
+    fields = ("positions", "velocities", "accelerations", "effort", "time_from_start")
+    points = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)]
     return {"header": header(frame), "joint_names": list(names), "points": points}

@@ -116,25 +116,14 @@ def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
         raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
-    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    import pinocchio as pin  # imported here so that reading tables and files stays fast
+
+    return pin.Quaternion(np.roll(q / length, -1 if order == "wxyz" else 0)).matrix()
 
 
 def matrix_quat(R: np.ndarray) -> np.ndarray:
     """Return the quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
-    K = np.array(
-        [
-            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
-            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads only the lower triangle of K
+    import pinocchio as pin  # imported here so that reading tables and files stays fast
+
+    q = np.array(pin.Quaternion(np.asarray(R)).coeffs())
     return q if q[3] >= 0 else -q

@@ -9,9 +9,9 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.chain import Chain, TreeChain, pack_tree
-from ..text import in_shell
+from ..text import first_few, in_shell
 from .configuration import values_by_joint
-from .formats.srdf import Srdf, srdf_of
+from .formats.srdf import Srdf
 from .joints import Joints
 from .load import default_base, read_both
 from .probe import JointPath, Motionless, find_path
@@ -173,8 +173,7 @@ class Tree(Joints):
             FrameNotFound: A tip does not exist, or none is given or known; the message lists the ends of paths.
             RobotNotFound, ModelError, JointNotFound, InvalidOption, MissingExtra: As in `Robot.load`.
         """
-        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
+        entry, made = read_both(source, package_dirs, xacro_args, srdf, group)
         if group is not None:
             start, ends = made["srdf"].ends(group, made["model"])
             tips, base = tips or list(ends), base if base or on_base is not None else start
@@ -182,8 +181,8 @@ class Tree(Joints):
             tips = entry.tips
             if len(tips) < 2:
                 ends = tip_candidates(made["model"])
-                some = ", ".join(ends[:ENDS]) or "none"
-                more = f" and {len(ends) - ENDS} more (ik info ROBOT --list-tips)" if len(ends) > ENDS else ""
+                some = first_few(ends, ENDS) or "none"
+                more = " (ik info ROBOT --list-tips)" if len(ends) > ENDS else ""
                 raise FrameNotFound(
                     f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{in_shell(more)}"
                 )

@@ -121,7 +121,9 @@ def test_the_range_of_a_tendon_is_that_of_its_only_joint():
     assert robot.lower[2] == pytest.approx(-0.2) and robot.upper[2] == pytest.approx(0.4) and not robot.constraints
     several = FINGER.format("").replace('<fixed name="three">', '<fixed name="three" limited="true" range="-0.1 0.1">')
     robot = ik.Robot.load(several, tip="tip")
-    assert ik.solve(robot, robot.fk([0.1, 0.1, 0.15])).notice == "the range 'three' of the description is kept"
+    assert (
+        ik.solve(robot, robot.fk([0.1, 0.1, 0.15])).notice == "the range of tendon 'three' of the description is kept"
+    )
     bent = ik.solve(robot, robot.fk([0.5, 0.5, 0.2]))
     assert bent.status == ik.Status.CONSTRAINT_OPEN and "this q is 40.1 deg off" in bent.message
 

@@ -14,7 +14,7 @@ class Names(dict):
 @pytest.fixture
 def evaluate():
     evaluator = xacro_values.Evaluator()
-    library = xacro_library.library(xacro_values, evaluator)
+    library = xacro_library.library(evaluator)
     names = {**library[""], "math": Names(library["math"]), "python": Names(library["python"]), "None": None}
     names |= {"fingers": ["FF", "Th"], "limits": {"elbow": {"lower": -1.5, "items": 3}}, "text": "data[12]"}
     return lambda text: evaluator.evaluate(text, names)

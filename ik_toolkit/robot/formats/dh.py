@@ -215,16 +215,8 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
     if not isinstance(name, str) or not name.isprintable() or not name.strip():
         raise ModelError(f"{where}, column 'name' of the D-H table is {name!r}; it must be printable text")
     own = length if kind == "prismatic" else angle
-    units = {
-        "theta": angle,
-        "alpha": angle,
-        "d": length,
-        "a": length,
-        "lower": own,
-        "upper": own,
-        "velocity": own,
-        "effort": 1.0,
-    }
+    units = dict.fromkeys(("theta", "alpha"), angle) | dict.fromkeys(("d", "a"), length)
+    units |= dict.fromkeys(("lower", "upper", "velocity"), own) | {"effort": 1.0}
     values = {key: _number(joint[key], where, key) * unit for key, unit in units.items() if key in joint}
     if kind == "continuous":
         if "lower" in values or "upper" in values:

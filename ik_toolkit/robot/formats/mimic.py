@@ -10,7 +10,7 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .urdf import Item, attribute_numbers, limits_of_joint, parse
+from .urdf import Item, finite_at, limits_of_joint, parse
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -80,8 +80,8 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
     found = {}
     for item in parse(text):
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
-        speed = attribute_numbers((limit or {}).get("velocity", "")) or []
-        if len(speed) == 1 and speed[0] > 0.0 and tied[item.name].ratio != 0.0:
+        speed = finite_at(limit, "velocity")
+        if speed and speed[0] > 0.0 and tied[item.name].ratio != 0.0:
             found[item.name] = (tied[item.name].ratio, speed[0])
     return found
 
@@ -119,9 +119,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
                 loose[follower] = why
                 continue
             mimic = given[follower]
-            ratio, offset = (
-                (attribute_numbers(mimic.get(key, "")) or [default])[0]
-                for key, default in (("multiplier", 1.0), ("offset", 0.0))
+            (ratio,), (offset,) = (
+                finite_at(mimic, key) or [default] for key, default in (("multiplier", 1.0), ("offset", 0.0))
             )
             above = tied.get(mimic.get("joint", ""), Tie(mimic.get("joint", ""), 1.0, 0.0))
             tied[follower] = Tie(above.leader, ratio * above.ratio, ratio * above.offset + offset)

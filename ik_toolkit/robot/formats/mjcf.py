@@ -23,12 +23,12 @@ from ..rotation import matrix_rpy, quat_matrix
 from .mjcf_constraints import Ties, read_ties
 from .mjcf_text import flatten
 from .sandbox import ask
-from .urdf_write import numbers_text, origin, to_text
+from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
 SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
-ENDLESS = "1e16"  # An effort or velocity limit of this size means "no limit".
+ENDLESS = 1e16  # An effort or velocity limit of this size means "no limit".
 HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
 # A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
@@ -78,12 +78,6 @@ def _matrix(pos: Sequence[float], quat: Sequence[float]) -> np.ndarray:
     return T
 
 
-def _shift(pos: Sequence[float] | np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = pos
-    return T
-
-
 def _free(name: str, taken: set[str]) -> str:
     """Return a name that is not in the set `taken`: the given one or a variant of it, which is added to the set."""
     k, free = 1, name
@@ -122,9 +116,7 @@ class _Writer:
         for site in model["sites"]:
             if site["name"]:
                 link = self._link(site["name"] if site["name"] not in self.links else f"{site['name']}_site")
-                self._joint(
-                    _free(link, self.names), "fixed", bodies[site["body"]], link, _matrix(site["pos"], site["quat"])
-                )
+                self._fix(link, bodies[site["body"]], link, _matrix(site["pos"], site["quat"]))
         if self.left_out:
             self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
         return Read(to_text(self.robot), self._states(), self.notes, ties.constraints)
@@ -153,90 +145,69 @@ class _Writer:
     def _link(self, name: str) -> str:
         """Append a link of this name, or of a variant if the name is taken, and return its name."""
         name = _free(name, self.links)
-        ET.SubElement(self.robot, "link", name=name)
+        add_link(self.robot, name)
         return name
 
-    def _joint(
-        self,
-        name: str,
-        kind: str,
-        parent: str,
-        child: str,
-        T: np.ndarray,
-        axis: Sequence[float] | None = None,
-        limits: Sequence[float] | None = None,
-    ) -> ET.Element:
-        joint = ET.SubElement(self.robot, "joint", name=name, type=kind)
-        origin(joint, T)
-        ET.SubElement(joint, "parent", link=parent)
-        ET.SubElement(joint, "child", link=child)
-        if axis is not None:
-            ET.SubElement(joint, "axis", xyz=numbers_text(axis))
-            limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
-            if limits is not None:
-                limit.set("lower", repr(float(limits[0])))
-                limit.set("upper", repr(float(limits[1])))
-        return joint
+    def _fix(self, name: str, parent: str, link: str, T: np.ndarray) -> None:
+        """Append a fixed joint of this name, or of a variant if the name is taken."""
+        add_joint(self.robot, _free(name, self.names), "fixed", parent, link, T)
 
     def _body(
-        self,
-        body: dict[str, Any],
-        link: str,
-        parent: str,
-        joints: Sequence[tuple[int, str]],
-        ties: Ties,
+        self, body: dict[str, Any], link: str, parent: str, joints: Sequence[tuple[int, str]], ties: Ties
     ) -> None:
         """Write the joints between a body and its parent, with empty links between several joints or at one off its origin."""
         T = _matrix(body["pos"], body["quat"])
         if not joints:
-            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+            self._fix(f"{link}_fixed", parent, link, T)
             return
         if self.model["joints"][joints[0][0]]["type"] == "free":
             self.notes.append(
                 f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
             )
             # MuJoCo gives the pose of a free body in the world, as the joint's value.
-            self._joint(joints[0][1], "floating", parent, link, np.eye(4))
+            add_joint(self.robot, joints[0][1], "floating", parent, link, np.eye(4))
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
         for j, name in joints:
             joint = self.model["joints"][j]
-            T = T @ _shift(joint["pos"])
+            T = T @ shift(*joint["pos"])
             if joint["type"] == "ball":
                 self._ball(name, joint, steps, T)
             else:
                 steps.append(self._single(name, joint, T, ties.held.get(j), ties.ranges.get(j) or joint["range"]))
-            T = _shift(-np.array(joint["pos"]))
+            T = shift(*(-x for x in joint["pos"]))
         off = bool(np.abs(T[:3, 3]).max() > 0.0)
         for k, (name, kind, at, axis, limits) in enumerate(steps):
             child = link if k == len(steps) - 1 and not off else self._link(f"{link}_at_{name}")
-            made = self._joint(name, kind, parent, child, at, axis, limits)
+            ends = dict(zip(("lower", "upper"), limits or (), strict=False))
+            limit = None if kind == "fixed" else {**ends, "effort": ENDLESS, "velocity": ENDLESS}
+            made = add_joint(self.robot, name, kind, parent, child, at, limit, axis)
             mimic = ties.tied.get(name) or self.back.get(name)
             if mimic is not None:
                 leader, ratio, offset = mimic
                 ET.SubElement(made, "mimic", joint=leader, multiplier=repr(ratio), offset=repr(offset))
             parent = child
         if off:
-            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+            self._fix(f"{link}_fixed", parent, link, T)
 
     def _single(
         self, name: str, joint: dict[str, Any], T: np.ndarray, held: float | None, limits: Sequence[float] | None
     ) -> tuple:
         """Describe a hinge or slide joint, as a fixed one if it is held at a value; values count from MuJoCo's `ref`."""
         axis, place = np.array(joint["axis"]), joint["place"]
-        shift = (0.0 if held is None else held) - joint["ref"]
+        moved = (0.0 if held is None else held) - joint["ref"]
         if joint["type"] == "slide":
-            T = T @ _shift(shift * axis)
+            T = T @ shift(*(moved * axis))
         else:
-            T = T @ _matrix((0, 0, 0), (math.cos(0.5 * shift), *(math.sin(0.5 * shift) * axis)))
+            T = T @ _matrix((0, 0, 0), (math.cos(0.5 * moved), *(math.sin(0.5 * moved) * axis)))
         if held is not None:
-            return name, "fixed", T, None, None
+            return name, "fixed", T, axis, None
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
-            return name, "prismatic", T, axis, limits or (-1e16, 1e16)
+            return name, "prismatic", T, axis, limits or (-ENDLESS, ENDLESS)
         # A tendon may limit one side only, so the other limit is infinite.
         if limits is not None and not np.isfinite(limits).all():
-            limits = np.nan_to_num(limits, posinf=1e16, neginf=-1e16).tolist()
+            limits = np.nan_to_num(limits, posinf=ENDLESS, neginf=-ENDLESS).tolist()
         return name, "revolute" if limits else "continuous", T, axis, limits
 
     def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
@@ -254,10 +225,7 @@ class _Writer:
             )
 
         self.values.append(values)
-        for part, axis in zip(names, BALL_AXES, strict=True):
-            limits = (-BALL_PITCH, BALL_PITCH) if axis == BALL_AXES[1] else None
-            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
-            T = np.eye(4)
+        self._turns(names, BALL_AXES, {names[1]: (-BALL_PITCH, BALL_PITCH)}, steps, T)
         self.notes.append(f"ball joint '{name}' becomes three revolute joints: {', '.join(names)}")
 
     def _limited_ball(self, name: str, most: float, place: int, steps: list, T: np.ndarray) -> None:
@@ -276,14 +244,19 @@ class _Writer:
 
         self.values.append(values)
         z, y = BALL_AXES[:2]
-        for part, axis in ((a, z), (b, y), (angle, z), (down, y), (back, z)):
-            limits = (-most, most) if part == angle else None
-            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
-            T = np.eye(4)
+        self._turns((a, b, angle, down, back), (z, y, z, y, z), {angle: (-most, most)}, steps, T)
         self.notes.append(
             f"ball joint '{name}' becomes a turn by {angle} about an axis whose direction {a} and {b} set (Rz Ry Rz); "
             f"its range is the limit of {angle}: +-{math.degrees(most):.6g} degrees"
         )
+
+    def _turns(
+        self, names: Sequence[str], axes: Sequence, limits: dict[str, tuple[float, float]], steps: list, T: np.ndarray
+    ) -> None:
+        """Add revolute joints through one point, the first at T; those without limits are continuous."""
+        for name, axis in zip(names, axes, strict=True):
+            steps.append((name, "revolute" if name in limits else "continuous", T, axis, limits.get(name)))
+            T = np.eye(4)
 
     # ------------------------------------------------------------------------------------------------ shapes
     def _shapes(self, bodies: Sequence[str]) -> None:

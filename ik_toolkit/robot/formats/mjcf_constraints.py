@@ -5,6 +5,7 @@ joints and tendons of an equality from their values in the initial configuration
 y - y0 = c0 + c1 (x - x0) + ... An equality without a second joint or tendon means y = y0 + c0.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -81,7 +82,7 @@ class _Reader:
             (Loop, "is left open: the solvers do not close it, and each result says how wide it opens"),
             (Relation, "is not kept by the solvers, and each result says whether it holds"),
         ):
-            notes += [f"{_what(one)} '{one.name}' {said}" for one in curved if isinstance(one, kind)]
+            notes += [f"the {one.kind} '{one.name}' {said}" for one in curved if isinstance(one, kind)]
         held = {self.joints[j]: value for j, value in solved.held.items()}
         return Ties(tied, solved.held, ranges, tuple(_with_held(one, held) for one in curved), notes)
 
@@ -159,10 +160,9 @@ class _Reader:
     def _tendon(self, tendon: dict[str, Any]) -> LinearLength:
         """Return the length of a tendon: linear in joint values, or along sites; its length around shapes is not known."""
         if all(kind == JOINT for kind, _, _ in tendon["parts"]):
-            sums: dict[str, float] = {}
+            sums: dict[str, float] = defaultdict(float)
             for _, j, c in tendon["parts"]:
-                name = self.joints[int(j)]
-                sums[name] = sums.get(name, 0.0) + c
+                sums[self.joints[int(j)]] += c
             metres = any(self.model["joints"][j]["type"] == "slide" for _, j, _ in tendon["parts"])
             return LinearLength(tuple(sums.items()), zero=tendon["rest"], metres=metres)
         lines, last, share, known = [], None, 1.0, True
@@ -187,15 +187,11 @@ def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | N
         return None
     if one.y.lines or not one.y.known or (one.x is not None and (x.lines or not x.known)):
         return None
-    terms: dict[int, float] = {}
-    for name, c in one.y.joints:
-        terms[joints.index(name)] = terms.get(joints.index(name), 0.0) + c
-    value = constant + one.y.zero
-    if one.x is not None:
-        for name, c in x.joints:
-            terms[joints.index(name)] = terms.get(joints.index(name), 0.0) - ratio * c
-        value -= ratio * x.zero
-    return Equation(one.name, terms, value, joints.index(one.y.joints[0][0]) if first else -1)
+    terms: dict[int, float] = defaultdict(float)
+    for name, c in (*one.y.joints, *((name, -ratio * c) for name, c in x.joints)):
+        terms[joints.index(name)] += c
+    value = constant + one.y.zero - ratio * x.zero
+    return Equation(one.name, dict(terms), value, joints.index(one.y.joints[0][0]) if first else -1)
 
 
 def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
@@ -208,9 +204,3 @@ def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
         return length._replace(zero=zero, joints=tuple(part for part in length.joints if part[0] not in held))
 
     return one._replace(y=without(one.y), x=None if one.x is None else without(one.x))
-
-
-def _what(one: Constraint) -> str:
-    if isinstance(one, Loop):
-        return "the weld" if one.weld else "the loop"
-    return "the equality" if one.low == one.high else "the range of tendon"

@@ -1,18 +1,19 @@
 """Subprocess that compiles MJCF for `mjcf.py`, so that a crash of MuJoCo ends this process only.
 
-MuJoCo applies defaults, frames, replication and angles. The process imports nothing from the toolkit except mesh_worker.py.
-Its job (JSON on stdin) has xml (without file references), memory [bytes] and seconds. It prints one line of JSON: the parts of
-the model, or {"error": sentence}. Values are in metres and radians, quaternions in the order w x y z.
+MuJoCo applies defaults, frames, replication and angles. Its job (JSON on stdin) has xml (without file references), memory
+[bytes] and seconds. It prints one line of JSON: the parts of the model, or {"error": sentence}. Values are in metres and
+radians, quaternions in the order w x y z.
 """
 
 import importlib
 import json
-import runpy
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+from ik_toolkit.robot.formats.sandbox import limit
 
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
@@ -26,17 +27,11 @@ def pose_dict(pos: Any, quat: Any) -> dict:
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
-def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
-    """Return [one(0), ..., one(count - 1)], where `one` makes a dict of the object with an index."""
-    return [one(i) for i in range(count)]
-
-
 def equalities(m: Any) -> dict:
     """Return the equalities and tendons of a compiled model."""
     return {
-        "equalities": listed(
-            m.neq,
-            lambda i: {
+        "equalities": [
+            {
                 "name": m.eq(i).name,
                 "type": EQUALITIES[m.eq_type[i]] if m.eq_type[i] < len(EQUALITIES) else "other",
                 "sites": int(m.eq_objtype[i]) == SITE,
@@ -44,11 +39,11 @@ def equalities(m: Any) -> dict:
                 "first": int(m.eq_obj1id[i]),
                 "second": int(m.eq_obj2id[i]),
                 "data": m.eq_data[i][:11].tolist(),
-            },
-        ),
-        "tendons": listed(
-            m.ntendon,
-            lambda i: {
+            }
+            for i in range(m.neq)
+        ],
+        "tendons": [
+            {
                 "name": m.tendon(i).name,
                 "range": m.tendon_range[i].tolist() if m.tendon_limited[i] else None,
                 "rest": float(m.tendon_length0[i]),
@@ -56,8 +51,9 @@ def equalities(m: Any) -> dict:
                     [int(m.wrap_type[k]), int(m.wrap_objid[k]), float(m.wrap_prm[k])]
                     for k in range(m.tendon_adr[i], m.tendon_adr[i] + m.tendon_num[i])
                 ],
-            },
-        ),
+            }
+            for i in range(m.ntendon)
+        ],
     }
 
 
@@ -68,17 +64,16 @@ def describe(m: Any) -> dict:
 
     return {
         "name": m.names[: m.names.index(b"\0")].decode(errors="replace"),
-        "bodies": listed(
-            m.nbody,
-            lambda i: {
+        "bodies": [
+            {
                 "name": m.body(i).name,
                 "parent": int(m.body_parentid[i]),
                 **pose_dict(m.body_pos[i], m.body_quat[i]),
-            },
-        ),
-        "joints": listed(
-            m.njnt,
-            lambda i: {
+            }
+            for i in range(m.nbody)
+        ],
+        "joints": [
+            {
                 "name": m.joint(i).name,
                 "type": JOINTS[m.jnt_type[i]],
                 "body": int(m.jnt_bodyid[i]),
@@ -88,11 +83,11 @@ def describe(m: Any) -> dict:
                 "given": m.jnt_range[i].tolist(),
                 "ref": float(m.qpos0[m.jnt_qposadr[i]]),
                 "place": int(m.jnt_qposadr[i]),
-            },
-        ),
-        "geoms": listed(
-            m.ngeom,
-            lambda i: {
+            }
+            for i in range(m.njnt)
+        ],
+        "geoms": [
+            {
                 "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
                 "body": int(m.geom_bodyid[i]),
                 **pose_dict(m.geom_pos[i], m.geom_quat[i]),
@@ -101,26 +96,27 @@ def describe(m: Any) -> dict:
                 "group": int(m.geom_group[i]),
                 "rgba": (m.mat_rgba[m.geom_matid[i]] if m.geom_matid[i] >= 0 else m.geom_rgba[i]).tolist(),
                 "mesh": int(m.geom_dataid[i]),
-            },
-        ),
-        "meshes": listed(
-            m.nmesh,
-            lambda i: {
+            }
+            for i in range(m.ngeom)
+        ],
+        "meshes": [
+            {
                 "name": m.mesh(i).name,
                 **pose_dict(m.mesh_pos[i], m.mesh_quat[i]),
                 "scale": m.mesh_scale[i].tolist(),
-            },
-        ),
-        "sites": listed(
-            m.nsite,
-            lambda i: {
+            }
+            for i in range(m.nmesh)
+        ],
+        "sites": [
+            {
                 "name": m.site(i).name,
                 "body": int(m.site_bodyid[i]),
                 **pose_dict(m.site_pos[i], m.site_quat[i]),
-            },
-        ),
+            }
+            for i in range(m.nsite)
+        ],
         **equalities(m),
-        "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
+        "keys": [{"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()} for i in range(m.nkey)],
     }
 
 
@@ -129,7 +125,6 @@ def _main() -> None:
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
     mujoco: Any = importlib.import_module("mujoco")
-    limit = runpy.run_path(str(Path(__file__).parents[1] / "geometry" / "mesh_worker.py"))["limit"]
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import FrameNotFound, InvalidOption, ModelError, near_match
+from ...text import first_few
 from ..probe import find_path
 from .finding import did_you_mean
 from .srdf_text import EndEffector, Group, contents
@@ -140,23 +141,23 @@ class Srdf:
         out, links = list(self.remarks), {frame.name for frame in model.frames}
         strange = {link for pair in self.disabled for link in pair if link not in links}
         if strange:
-            out.append(f"pairs that may touch: {_some(strange, 'link')} {_is(strange)} not in the robot")
+            out.append(f"pairs that may touch: {_are(strange, 'link')} not in the robot")
         for what, names in (
             ("ends of chains", {link for group in self.groups.values() for chain in group.chains for link in chain}),
             ("end effectors", {e.parent_link for e in self.end_effectors.values()}),
         ):
             if names - links:
                 near = _meant(names - links, links)
-                out.append(f"{what}: {_some(names - links, 'link')} {_is(names - links)} not in the robot{near}")
+                out.append(f"{what}: {_are(names - links, 'link')} not in the robot{near}")
         for state, groups in self.states.items():
             given = [item for values in groups.values() for item in values.items()]
             missing = {joint for joint, _ in given if not model.existJointName(joint) and joint not in links}
             other = {joint for joint, x in given if joint not in missing and len(x) != 1}
             if missing:
                 near = _meant(missing, model.names)
-                out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot{near}")
+                out.append(f"configuration '{state}': {_are(missing, 'joint')} not in the robot{near}")
             if other:
-                out.append(f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} ignored")
+                out.append(f"configuration '{state}': {_are(other, 'joint', ' with several values')} ignored")
         return tuple(out)
 
 
@@ -313,19 +314,13 @@ def _above(model: pin.Model, link: str, other: str) -> bool:
     return model.getFrameId(link) in _line(model, model.getFrameId(other))
 
 
-def _some(names: Iterable[str], what: str) -> str:
-    some = sorted(names)
-    listed = ", ".join(f"'{name}'" for name in some[:SHOWN]) + (
-        f" and {len(some) - SHOWN} more" if len(some) > SHOWN else ""
-    )
-    return f"{what}{'s' * (len(some) > 1)} {listed}"
+def _are(names: Iterable[str], what: str, with_what: str = "") -> str:
+    """Return the beginning of a sentence: "link 'a' is", or "links 'a', 'b' are"."""
+    some = [f"'{name}'" for name in sorted(names)]
+    return f"{what}{'s' * (len(some) > 1)} {first_few(some, SHOWN)}{with_what} {'are' if some[1:] else 'is'}"
 
 
 def _meant(names: set[str], known: Iterable[str]) -> str:
     """Return '. Did you mean ...?' if there is a single unknown name and a known name is similar, otherwise ''."""
     near = did_you_mean(min(names), known) if len(names) == 1 else ""
     return f".{near}" if near else ""
-
-
-def _is(names: Sequence[str] | set[str]) -> str:
-    return "are" if len(names) > 1 else "is"

@@ -2,23 +2,21 @@
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ...errors import ModelError
-from .urdf import HasMacros, attribute_numbers, check_names, walk
+from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
 MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
-FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
-FACTS += ("disable_default_collisions", "enable_collisions")
-NEEDED = {  # Maps an element to the attributes that it must have.
+NEEDED = {  # Maps an element that is read to the attributes that it must have; a state without them is left out, with a remark.
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
     "joint": ("name",),
     "group": ("name",),
     "end_effector": ("name", "parent_link"),
-    "group_state": ("name",),
+    "group_state": (),
     "passive_joint": ("name",),
     "disable_collisions": ("link1", "link2"),
     "enable_collisions": ("link1", "link2"),
@@ -54,8 +52,8 @@ class EndEffector:
 @functools.lru_cache(maxsize=16)
 def contents(text: str) -> dict[str, Any]:
     """Parse SRDF text into the fields of an `Srdf`. Raises ModelError if it is malformed or exceeds a size limit."""
-    name = ""
-    groups: dict[str, dict[str, list]] = {}
+    robot, *items = _items(text)
+    groups: dict[str, Group] = {}
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
     lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
@@ -63,62 +61,44 @@ def contents(text: str) -> dict[str, Any]:
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
-    remarks: list[str] = []
-    inside: list[str] = []  # name of the group being read, or of the configuration and its group
-
-    def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
-        nonlocal name
-        if not above:
-            if tag != "robot":
-                raise ModelError(f"the root element is <{tag}>, not <robot>: this is not an SRDF")
-            check_names(given, "SRDF", line)
-            name = given.get("name", "")
-            return
-        if tag.startswith("xacro:"):
-            raise HasMacros(f"line {line} of the SRDF has xacro macros; name the file .srdf.xacro to expand it")
-        of_state = list(above[1:]) == ["group_state"] and tag == "joint"
-        of_group = list(above[1:]) == ["group"] and tag in MEMBERS
-        if not (of_state or of_group or (len(above) == 1 and tag in FACTS)):
-            return
-        check_names({key: text for key, text in given.items() if key != "value"}, "SRDF", line)
-        missing = [key for key in NEEDED[tag] if not given.get(key)]
-        if of_state or tag == "group_state":
-            _state(tag, given, line, states, inside, lost)
-        elif missing:
-            raise ModelError(f"<{tag}> in line {line} of the SRDF has no {missing[0]}")
-        elif of_group:
-            member = (given["base_link"], given["tip_link"]) if tag == "chain" else given["name"]
-            groups[inside[0]][tag].append(member)
-        elif tag == "group":
-            if given["name"] in groups:
-                raise ModelError(f"group '{given['name']}' is defined twice in the SRDF, again in line {line}")
-            inside[:] = [given["name"]]
-            groups[given["name"]] = {kind: [] for kind in MEMBERS}
-        elif tag == "end_effector":
-            links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
-            ends[given["name"]] = EndEffector(given["name"], *links)
-        elif tag == "passive_joint":
-            passive.append(given["name"])
-        elif tag == "disable_collisions":
-            if given["link1"] != given["link2"]:
+    for item in items:
+        given = item.attributes
+        _require(item)
+        match item.tag:
+            case "group":
+                if item.name in groups:
+                    raise ModelError(f"group '{item.name}' is defined twice in the SRDF, again in line {item.line}")
+                groups[item.name] = _group(item)
+            case "group_state":
+                group = given.get("group", "")
+                why = _read_state(item, states.setdefault(item.name, {}).setdefault(group, {}))
+                if why:
+                    lost.setdefault((item.name, group), why)
+            case "end_effector":
+                links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
+                ends[item.name] = EndEffector(item.name, *links)
+            case "passive_joint":
+                passive.append(item.name)
+            case "disable_collisions" if given["link1"] != given["link2"]:
                 disabled[given["link1"], given["link2"]] = given.get("reason", "")
-        elif tag == "enable_collisions":
-            enabled.append((given["link1"], given["link2"]))
-        elif tag == "disable_default_collisions":
-            quiet.append(given["link"])
-
-    walk(text, "SRDF", start)
-    made = _groups(groups, remarks)
+            case "enable_collisions":
+                enabled.append((given["link1"], given["link2"]))
+            case "disable_default_collisions":
+                quiet.append(given["link"])
+    remarks = []
+    for group in groups.values():
+        unknown = [inner for inner in group.groups if inner not in groups]
+        if unknown:
+            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
     for (state, group), why in lost.items():
         whose = f" of group '{group}'" if group else ""
         remarks.append(f"configuration '{state}'{whose} is left out: {why}")
-        states.get(state, {}).pop(group, None)
-    states = {state: by_group for state, by_group in states.items() if by_group}
+        states[state].pop(group)
     return {
-        "name": name,
-        "groups": made,
+        "name": robot.name,
+        "groups": groups,
         "end_effectors": ends,
-        "states": states,
+        "states": {state: by_group for state, by_group in states.items() if by_group},
         "passive_joints": tuple(dict.fromkeys(passive)),
         "disabled": disabled,
         "quiet": tuple(quiet),
@@ -127,38 +107,54 @@ def contents(text: str) -> dict[str, Any]:
     }
 
 
-def _state(
-    tag: str,
-    given: Mapping[str, str],
-    line: int,
-    states: dict[str, dict[str, dict[str, tuple[float, ...]]]],
-    inside: list[str],
-    lost: dict[tuple[str, str], str],
-) -> None:
-    """Read a <group_state> or a joint inside one; an error in it removes this configuration and no other."""
-    if tag == "group_state":
-        name, group = inside[:] = [given.get("name", ""), given.get("group", "")]
-        if not name:
-            lost[name, group] = f"<group_state> in line {line} of the SRDF has no name"
-        states.setdefault(name, {}).setdefault(group, {})
-        return
-    state, joint, text = states[inside[0]][inside[1]], given.get("name", ""), given.get("value", "")
-    values, why = tuple(attribute_numbers(text) or []), ""
-    if not joint:
-        why = f"<joint> in line {line} of the SRDF has no name"
-    elif not values or not all(map(math.isfinite, values)):
-        why = f"joint '{joint}' in line {line} of the SRDF: value \"{text[:60]}\" is not a finite number"
-    elif state.setdefault(joint, values) != values:
-        why = f"it gives joint '{joint}' two values, the second in line {line}"
-    if why:
-        lost.setdefault((inside[0], inside[1]), why)
+def _items(text: str) -> list[Item]:
+    """Return the robot and the elements directly below it, with those inside them, which have no others inside."""
+    items: list[Item] = []
+
+    def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
+        if not above and tag != "robot":
+            raise ModelError(f"the root element is <{tag}>, not <robot>: this is not an SRDF")
+        if tag.startswith("xacro:"):
+            raise HasMacros(f"line {line} of the SRDF has xacro macros; name the file .srdf.xacro to expand it")
+        if tag in NEEDED or not above:
+            check_names({key: text for key, text in given.items() if key != "value"}, "SRDF", line)
+        if len(above) < 2:
+            items.append(Item(tag, given, line))
+        elif len(above) == 2:
+            items[-1].inside.append(InnerElement(tag, given, line))
+
+    walk(text, "SRDF", start)
+    return items
 
 
-def _groups(found: Mapping[str, Mapping[str, list]], remarks: list[str]) -> dict[str, Group]:
-    """Make the groups from the members found, and remark on each subgroup that does not exist."""
-    made = {name: Group(name, *(tuple(parts[kind]) for kind in MEMBERS)) for name, parts in found.items()}
-    for group in made.values():
-        unknown = [inner for inner in group.groups if inner not in made]
-        if unknown:
-            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
-    return made
+def _require(element: Item | InnerElement) -> None:
+    """Raise ModelError if an element lacks an attribute without which it means nothing."""
+    missing = [key for key in NEEDED.get(element.tag, ()) if not element.attributes.get(key)]
+    if missing:
+        raise ModelError(f"<{element.tag}> in line {element.line} of the SRDF has no {missing[0]}")
+
+
+def _group(item: Item) -> Group:
+    members: dict[str, list[Any]] = {kind: [] for kind in MEMBERS}
+    for part in item.inside:
+        if part.tag in MEMBERS:
+            _require(part)
+            members[part.tag].append(tuple(part.attributes[key] for key in NEEDED[part.tag]))
+    links, joints, groups = ([name for (name,) in members[kind]] for kind in ("link", "joint", "group"))
+    return Group(item.name, tuple(links), tuple(joints), tuple(members["chain"]), tuple(groups))
+
+
+def _read_state(item: Item, state: dict[str, tuple[float, ...]]) -> str:
+    """Add the joint values of a <group_state> to `state`; return why this configuration cannot be used, or ''."""
+    if not item.name:
+        return f"<group_state> in line {item.line} of the SRDF has no name"
+    for part in item.own("joint"):
+        joint, text = part.attributes.get("name", ""), part.attributes.get("value", "")
+        values = tuple(attribute_numbers(text) or [])
+        if not joint:
+            return f"<joint> in line {part.line} of the SRDF has no name"
+        if not values or not all(map(math.isfinite, values)):
+            return f"joint '{joint}' in line {part.line} of the SRDF: value \"{text[:60]}\" is not a finite number"
+        if state.setdefault(joint, values) != values:
+            return f"it gives joint '{joint}' two values, the second in line {part.line}"
+    return ""

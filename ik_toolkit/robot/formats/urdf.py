@@ -34,14 +34,17 @@ BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
 ENDLESS = 1e16  # A joint limit of this size means "no limit".
 # number of degrees of freedom by joint type
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+SIZES = {  # Maps a shape to its attributes of sizes, and each to how many numbers it holds.
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+}
 NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "mimic": {"multiplier": 1, "offset": 1},
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
+    **SIZES,
     "mesh": {"scale": 3},
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
@@ -96,7 +99,7 @@ class Item:
 
     def first(self, tag: str) -> Mapping[str, str] | None:
         """Return the attributes of the first element with this tag, or None; as in urdfdom, later ones do not count."""
-        return next((part.attributes for part in self.inside if part.tag == tag and not part.above), None)
+        return next((part.attributes for part in self.own(tag)), None)
 
 
 class HasMacros(ModelError):
@@ -270,15 +273,22 @@ def attribute_numbers(text: str) -> list[float] | None:
         return None
 
 
+def finite_at(attributes: Mapping[str, str] | None, key: str, count: int = 1, default: str = "") -> list[float]:
+    """Return the numbers in an attribute if they are this many and all finite, otherwise an empty list."""
+    values = attribute_numbers((attributes or {}).get(key, default)) or []
+    return values if len(values) == count and all(map(math.isfinite, values)) else []
+
+
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     """Return the attributes of an <origin> with its quaternion as rpy.
 
     They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is no rotation.
     """
-    quaternion = attribute_numbers(origin.get("quat_xyzw", "")) or []
-    if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
+    quaternion = finite_at(origin, "quat_xyzw", 4)
+    length = math.hypot(*quaternion)
+    if "rpy" in origin or not 1e-6 < length < math.inf:
         return origin
-    unit = [x / math.hypot(*quaternion) for x in quaternion]
+    unit = [x / length for x in quaternion]
     from ..rotation import matrix_rpy, quat_matrix
 
     rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))

@@ -12,11 +12,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ...errors import ModelError
-from ...text import in_shell
+from ...text import first_few, in_shell
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
 from .finding import Finding, did_you_mean, error_finding, notes, odd
 from .mimic import followers
-from .urdf import ITEMS, InnerElement, Item, is_text, parse, safe_read
+from .urdf import ITEMS, SIZES, InnerElement, Item, is_text, parse, safe_read
 from .urdf_values import check_all_zero, check_joint, link_values, unversioned
 
 HINTS = 10  # largest number of searches for similar names per file, because each compares a name with all others
@@ -147,8 +147,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
 
 
 def _some(names: Iterable[str]) -> str:
-    listed = sorted(names)
-    return ", ".join(f"'{name}'" for name in listed[:5]) + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
+    return first_few([f"'{name}'" for name in sorted(names)])
 
 
 def _loose(text: str, joints: list[Item]) -> Iterator[Finding]:
@@ -179,7 +178,7 @@ ELEMENTS: Mapping[str, tuple[str, ...]] = {  # This maps an element to the eleme
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
     "collision": ("origin", "geometry", "material"),
-    "geometry": ("box", "sphere", "cylinder", "capsule", "mesh"),
+    "geometry": (*SIZES, "mesh"),
 }
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "link": ("name",),
@@ -190,10 +189,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "mimic": ("joint", "multiplier", "offset"),
     "parent": ("link",),
     "child": ("link",),
-    "box": ("size",),
-    "sphere": ("radius",),
-    "cylinder": ("radius", "length"),
-    "capsule": ("radius", "length"),
+    **{tag: tuple(sizes) for tag, sizes in SIZES.items()},
     "mesh": ("filename", "scale"),
 }
 # No software adds its own attributes to these elements, so an unknown one is probably misspelled.

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from .mimic import MOVING, Followers, followers
-from .urdf import ENDLESS, Item, attribute_numbers, limits_of_joint, parse, plain_origin
+from .urdf import ENDLESS, Item, finite_at, limits_of_joint, parse, plain_origin
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -87,7 +87,7 @@ def axis_of(joint: Item) -> list[float]:
 
     An axis too long for Pinocchio to square is shortened.
     """
-    axis = attribute_numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
+    axis = finite_at(joint.first("axis"), "xyz", 3, "1 0 0")
     length = math.hypot(*axis)
     return [x / length for x in axis] if length > 1e100 else axis
 
@@ -114,8 +114,7 @@ def _turn_plane(model: pin.Model, joint: Item) -> None:
 
 def _most(limit: Mapping[str, str] | None, key: str) -> float:
     """Return an effort or velocity limit, or ENDLESS if it is missing, no number, negative, infinite, or a velocity of 0."""
-    values = attribute_numbers((limit or {}).get(key, "")) or []
-    value = values[0] if len(values) == 1 else math.nan
+    (value,) = finite_at(limit, key) or [math.nan]
     return value if (0.0 if key == "velocity" else -1e-300) < value < ENDLESS else ENDLESS
 
 
@@ -135,15 +134,13 @@ def _origin(given: Mapping[str, str] | None) -> str:
     if given is None:
         return ""
     origin = plain_origin(given)
-    rows = [attribute_numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
-    xyz, rpy = (_text(row) if len(row) == 3 and all(map(math.isfinite, row)) else "nan" for row in rows)
+    xyz, rpy = (_text(finite_at(origin, key, 3, "0 0 0")) or "nan" for key in ("xyz", "rpy"))
     return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
 
 
 def _numbers(attributes: Mapping[str, str], keys: Iterable[str]) -> dict[str, float]:
     """Return those of the attributes that are one finite number."""
-    found = {key: attribute_numbers(attributes.get(key, "")) or [] for key in keys}
-    return {key: row[0] for key, row in found.items() if len(row) == 1 and math.isfinite(row[0])}
+    return {key: found[0] for key in keys if (found := finite_at(attributes, key))}
 
 
 def _pairs(values: Mapping[str, float]) -> str:

@@ -5,12 +5,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .finding import Finding, did_you_mean, error_finding, odd
 from .mimic import MOVING
-from .urdf import ENDLESS, NUMBERS, SHAPES, InnerElement, Item, attribute_numbers, plain_origin
+from .urdf import ENDLESS, NUMBERS, SHAPES, SIZES, InnerElement, Item, attribute_numbers, finite_at, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
-SHAPE = {  # These attributes give the size of each shape, so it must have them.
-    "box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",),
-}  # fmt: skip
 UNIT = 0.01  # The length of a quaternion or an axis may differ from 1 by this much before it is reported.
 DEGREES = (30.0, 360.0)  # A whole number in this range is taken for degrees rather than radians.
 IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
@@ -54,7 +51,7 @@ def link_values(link: Item) -> Iterator[Finding]:
             yield odd(link, told, "write it in <geometry>, or remove it", part.line, at_load=True)
     for part in link.inside:
         missing = [
-            key for key in SHAPE.get(part.tag, ()) if part.above[1:] == ("geometry",) and key not in part.attributes
+            key for key in SIZES.get(part.tag, ()) if part.above[1:] == ("geometry",) and key not in part.attributes
         ]
         if missing:
             told = f"<{part.tag}> has no {' and no '.join(missing)}, so there is no shape"
@@ -63,7 +60,7 @@ def link_values(link: Item) -> Iterator[Finding]:
             yield from _numbers(link, part, odd)
             if part.tag == "origin":
                 yield from _origin(link, part, odd)
-        for key in ("radius", "length", "size") if part.tag in ("box", "cylinder", "capsule", "sphere") else ():
+        for key in SIZES.get(part.tag, ()):
             values = attribute_numbers(part.attributes.get(key, ""))
             if values and min(values) <= 0.0:
                 told = f"<{part.tag}> has the {key} {part.attributes[key]}"
@@ -115,8 +112,8 @@ def _origin(item: Item, part: InnerElement, found: Callable[..., Finding]) -> It
     if any(map(_degrees, rpy)):
         told = f'its <origin rpy="{given["rpy"]}"> looks like degrees'
         yield odd(item, told, IN_DEGREES, part.line, at_load=item.tag == "joint")
-    quaternion = attribute_numbers(given.get("quat_xyzw", "")) or []
-    if len(quaternion) != 4 or not all(map(math.isfinite, quaternion)):
+    quaternion = finite_at(given, "quat_xyzw", 4)
+    if not quaternion:
         return
     if "rpy" in given:
         yield found(item, "its <origin> has both rpy and quat_xyzw", "keep one of them", part.line)
@@ -153,8 +150,8 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
         yield odd(joint, told, 'write <axis xyz="0 0 1"/> for the plane of x and y', line, at_load=True)
     if parts and "xyz" not in parts[0].attributes:
         yield odd(joint, "its <axis> has no xyz: read as 1 0 0", 'write <axis xyz="0 0 1"/>', line, at_load=True)
-    axis = attribute_numbers(parts[0].attributes.get("xyz", "1 0 0")) if parts else None
-    if axis is None or len(axis) != 3 or not all(map(math.isfinite, axis)):
+    axis = finite_at(parts[0].attributes, "xyz", 3, "1 0 0") if parts else []
+    if not axis:
         return
     length = math.hypot(*axis)
     if not length > 1e-6:

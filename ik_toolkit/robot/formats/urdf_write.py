@@ -37,8 +37,9 @@ def add_joint(
     child: str,
     T: np.ndarray,
     limit: Mapping[str, float] | None = None,
-) -> None:
-    """Append a joint at the pose T (4x4) [m] in the parent link; a moving one rotates about or slides along z and has limits.
+    axis: Sequence[float] | np.ndarray = (0.0, 0.0, 1.0),
+) -> ET.Element:
+    """Append a joint at the pose T (4x4) [m] in the parent link and return it; one with a limit moves about or along the axis.
 
     The limits are lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which Pinocchio
     requires.
@@ -48,8 +49,9 @@ def add_joint(
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     if limit is not None:
-        ET.SubElement(joint, "axis", xyz="0 0 1")
+        ET.SubElement(joint, "axis", xyz=numbers_text(axis))
         ET.SubElement(joint, "limit", {key: _text(value) for key, value in limit.items()})
+    return joint
 
 
 def add_shape(

@@ -1,18 +1,13 @@
-"""Reads the files that a xacro file includes or loads, only below the allowed folders and no larger than a robot needs.
-
-It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
-"""
+"""Reads the files that a xacro file includes or loads, only below the allowed folders and no larger than a robot needs."""
 
 import os
-import re
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any, NamedTuple
 from xml.dom import minidom
-from xml.parsers import expat
 
-DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
-KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # The XML parser expat knows these encodings.
+from .urdf import decode, walk
+from .xacro_values import DEEP, Refused
+
 UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
 
 
@@ -22,8 +17,6 @@ class XacroFileCaps(NamedTuple):
     bytes: int = 20_000_000  # Limit on the bytes of all files together.
     yaml_bytes: int = 2_000_000  # Limit on the bytes of a YAML file, before and after its anchors are expanded.
     yaml_scalar: int = 2_000  # Limit on the characters of one value in YAML.
-    nested: int = 200  # Limit on how deep XML elements are nested.
-    elements: int = 200_000  # Limit on the number of XML elements in all files together.
 
 
 CAPS = XacroFileCaps()
@@ -32,11 +25,10 @@ CAPS = XacroFileCaps()
 class Files:
     """Files below the allowed folders, after symbolic links are followed, with a count of what has been read."""
 
-    def __init__(self, values: ModuleType, folders: list[str]) -> None:
-        """Store the module of values, for its limits and its error, and the allowed folders."""
-        self.values = values
+    def __init__(self, folders: list[str]) -> None:
+        """Store the allowed folders."""
         self.folders = [os.path.realpath(folder) for folder in folders]
-        self.bytes = self.elements = 0
+        self.bytes = 0
 
     def read(self, path: str, most: int) -> bytes:
         """Return the bytes of a file.
@@ -47,53 +39,24 @@ class Files:
         real = os.path.realpath(path)
         if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
             link = "" if real == path else f" (it leads to '{real[-120:]}')"
-            raise self.values.Refused(
+            raise Refused(
                 f"it reads '{path[-120:]}', which is not allowed{link}; if it may, name its folder: "
                 f"package_dirs=['{os.path.dirname(real)[-100:]}'], in the shell --package-dir"
             )
         if os.path.exists(real) and not os.path.isfile(real):
-            raise self.values.Refused(f"'{path[-120:]}' is not a regular file")
+            raise Refused(f"'{path[-120:]}' is not a regular file")
         with open(real, "rb") as file:
             raw = file.read(most + 1)
         self.bytes += len(raw)
         if len(raw) > most or self.bytes > CAPS.bytes:
-            raise self.values.Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
+            raise Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
         return raw
 
     def xml(self, path: str) -> Any:
-        """Return the document of an XML file. Raises Refused."""
-        raw, depth = self.read(path, CAPS.bytes), 0
-        declared = DECLARED.match(raw)
-        if declared and declared[2].lower() not in KNOWN:
-            try:
-                raw = declared[1] + b"utf-8" + raw[declared.end(2) :].decode(declared[2].decode()).encode()
-            except (LookupError, UnicodeError):
-                raise self.values.Refused(f"it is not text of the encoding {declared[2].decode()}") from None
-
-        def start(tag: str, attributes: dict) -> None:
-            nonlocal depth
-            depth, self.elements = depth + 1, self.elements + 1
-            if depth > CAPS.nested or self.elements > CAPS.elements:
-                raise self.values.Refused(
-                    f"its elements are nested more than {CAPS.nested} deep, or more than {CAPS.elements:,}"
-                )
-
-        def end(tag: str) -> None:
-            nonlocal depth
-            depth -= 1
-
-        def refuse(*_: object) -> None:
-            raise self.values.Refused("it has a DOCTYPE or entity declarations; these are never expanded or fetched")
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-        try:
-            parser.Parse(raw, True)
-        except expat.ExpatError as error:
-            reason = expat.ErrorString(error.code)
-            raise self.values.Refused(f"it is not well-formed XML: {reason} in line {error.lineno}") from None
-        return minidom.parseString(raw)  # noqa: S318 - The text was checked above.
+        """Return the document of an XML file. Raises Refused, ModelError."""
+        text = decode(self.read(path, CAPS.bytes), os.path.basename(path))
+        walk(text, "file", lambda *element: None)  # only for its checks
+        return minidom.parseString(text)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
         """Return the values of a YAML file; `number` evaluates an expression, used for values with a unit. Raises Refused."""
@@ -109,14 +72,14 @@ class Files:
         for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:
-            check_yaml_size(yaml.parse(raw, Loader), self.values)
+            check_yaml_size(yaml.parse(raw, Loader))
             return yaml.load(raw, Loader)  # noqa: S506 - The loader is a safe one.
         except (yaml.YAMLError, ValueError) as error:
             said = " ".join(str(error).split())[:160]
-            raise self.values.Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
+            raise Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
 
 
-def check_yaml_size(events: Any, values: ModuleType) -> None:
+def check_yaml_size(events: Any) -> None:
     """Raise Refused for YAML that is nested too deep, or too large once its anchors are put in."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]
@@ -124,15 +87,15 @@ def check_yaml_size(events: Any, values: ModuleType) -> None:
         kind, anchor, weight = type(event).__name__, getattr(event, "anchor", None), 1
         if kind in ("MappingStartEvent", "SequenceStartEvent"):
             open_.append((anchor, 1))
-            if len(open_) > values.DEEP:
-                raise values.Refused(f"YAML is nested more than {values.DEEP} deep")
+            if len(open_) > DEEP:
+                raise Refused(f"YAML is nested more than {DEEP} deep")
             continue
         if kind in ("MappingEndEvent", "SequenceEndEvent"):
             anchor, weight = open_.pop()
         elif kind == "ScalarEvent":
             weight += len(event.value)
             if weight > CAPS.yaml_scalar:
-                raise values.Refused(f"a value in YAML has more than {CAPS.yaml_scalar:,} characters")
+                raise Refused(f"a value in YAML has more than {CAPS.yaml_scalar:,} characters")
         elif kind == "AliasEvent":
             weight = known.get(anchor or "", 1)
             anchor = None
@@ -143,4 +106,4 @@ def check_yaml_size(events: Any, values: ModuleType) -> None:
         above, before = open_[-1]
         open_[-1] = above, before + weight
         if before + weight > CAPS.yaml_bytes:
-            raise values.Refused("YAML is too large once its anchors are put in")
+            raise Refused("YAML is too large once its anchors are put in")

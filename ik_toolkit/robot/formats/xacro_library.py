@@ -1,11 +1,9 @@
-"""The functions and constants that xacro documents for its files, with checks of their arguments and results.
-
-It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
-"""
+"""The functions and constants that xacro documents for its files, with checks of their arguments and results."""
 
 import math
-from types import ModuleType
 from typing import Any
+
+from .xacro_values import LARGEST, Evaluator, Function, Refused, check_bits, power, small, total
 
 MATH = (
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh", "degrees", "dist", "e",
@@ -15,9 +13,8 @@ MATH = (
 )  # fmt: skip
 
 
-def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
+def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
     """Return the functions and constants that a xacro file may use, by namespace: '' (none), 'python' and 'math'."""
-    Function, Refused = values.Function, values.Refused
 
     def listed(value: Any) -> list[Any]:
         return [*evaluator.members(value)]
@@ -29,17 +26,17 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
         return tuple(one.kind for one in every)
 
     def factorial(n: int) -> int:
-        values.check_bits(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
+        check_bits(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
         return math.factorial(n)
 
     def rounded(value: float, digits: int | None = None, ndigits: int | None = None) -> float:
         digits = ndigits if digits is None else digits
         if digits is not None:
-            values.small(abs(digits) * 100)
+            small(abs(digits) * 100)
         return round(value) if digits is None else round(value, digits)
 
     def ranged(*given: int) -> range:
-        values.small(len(range(*given)) if all(abs(one) < 2**62 for one in given) else values.LARGEST + 1)
+        small(len(range(*given)) if all(abs(one) < 2**62 for one in given) else LARGEST + 1)
         return range(*given)
 
     def texts(value: Any = "") -> str:
@@ -54,7 +51,7 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
         "min": min, "max": max, "round": rounded, "sorted": ordered, "range": ranged,
     }  # fmt: skip
     more = {
-        "abs": abs, "all": all, "any": any, "divmod": divmod, "sum": values.total, "ord": ord, "repr": repr, "hash": hash,
+        "abs": abs, "all": all, "any": any, "divmod": divmod, "sum": total, "ord": ord, "repr": repr, "hash": hash,
         "enumerate": lambda value, start=0: [*enumerate(listed(value), start)],
         "filter": lambda does, value: [member for member in listed(value) if (does(member) if does else member)],
         "zip": lambda *given, strict=False: [*zip(*map(listed, given), strict=strict)],
@@ -68,7 +65,7 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
     constants = {"True": True, "False": False}
     named = {name: Function(name, does, stand_for.get(name)) for name, does in {**plain, **more}.items()}
-    numbers: dict[str, Any] = {"factorial": Function("factorial", factorial), "pow": Function("pow", values.power)}
+    numbers: dict[str, Any] = {"factorial": Function("factorial", factorial), "pow": Function("pow", power)}
     for name in MATH:
         does = getattr(math, name, None)
         if does is not None and name not in numbers:

@@ -1,13 +1,13 @@
 """Evaluates xacro's expressions by a walk over their syntax tree, without Python's `eval`.
 
 Only these values are allowed: numbers, texts, lists, tuples, dicts, sets and ranges of values, None, and the functions below.
-Steps and sizes are counted, so that a file cannot keep the process busy. This module imports nothing from the toolkit, because
-the subprocess that expands xacro loads it by its file.
+Steps and sizes are counted, so that a file cannot keep the process busy.
 """
 
 import ast
 import operator
 import re
+from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -274,22 +274,9 @@ class Evaluator:
         if first.is_async:
             raise Refused("it uses async, which is not evaluated")
         for member in self.members(self.value(first.iter, names, depth)):
-            inner = Inner(names, _unpacked(first.target, member))
+            inner = ChainMap(_unpacked(first.target, member), names)  # type: ignore[arg-type]  names is only read
             if all(self.value(test, inner, depth) for test in first.ifs):
                 yield from self._loops(rest, inner, depth)
-
-
-class Inner(Mapping[str, Any]):
-    """The names visible inside a comprehension: its own ones come before those outside."""
-
-    def __init__(self, outside: Mapping[str, Any], own: dict[str, Any]) -> None:
-        self.outside, self.own = outside, own
-
-    def __getitem__(self, name: str) -> Any:
-        """Return the value of a name."""
-        return self.own[name] if name in self.own else self.outside[name]
-
-    __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
 
 
 def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:

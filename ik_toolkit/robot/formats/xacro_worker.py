@@ -1,52 +1,35 @@
 """Subprocess that expands xacro for `xacro.py`; expressions are evaluated by xacro_values.py, never as Python.
 
-It imports nothing from the toolkit except packages.py, mesh_worker.py and the xacro_*.py. Its job (JSON on stdin) has
-file, arguments (name -> value), package_dirs, folders (files are read only from these and from packages that are
-found), environment (ROS package path variables), memory [bytes] and seconds. It prints one line of JSON: {"urdf": text,
-"asked": names} or {"error": sentence}.
+Its job (JSON on stdin) has file, arguments (name -> value), package_dirs, folders (files are read only from these and from
+packages that are found), environment (ROS package path variables), memory [bytes] and seconds. It prints one line of JSON:
+{"urdf": text, "asked": names} or {"error": sentence}.
 """
 
 import contextlib
 import glob
-import importlib.util
 import io
 import itertools
 import json
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-BYTES = 20_000_000  # Limit on the bytes of all files together.
-FILES = 1_000  # Limit on the files that one include may match.
-# These functions of xacro are replaced below; a version of xacro without them is refused as unsafe.
-REPLACED = {
-    "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
-              "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
-    "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
-}  # fmt: skip
+sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+from ik_toolkit.robot.formats.sandbox import limit
+from ik_toolkit.robot.formats.xacro_files import CAPS, Files
+from ik_toolkit.robot.formats.xacro_library import library
+from ik_toolkit.robot.formats.xacro_values import LARGEST, LONGEST, Evaluator, Function, Refused
+from ik_toolkit.robot.packages import find_package
 
+FILES = 1_000  # Limit on the files that one include may match.
 # Matches the parameters of a macro, as xacro's own regular expression does, but without nested repetition, which can take
 # exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
-
-
-def module_at(place: str) -> ModuleType:
-    """Import a module by its path below the robot folder, because a script cannot import it from the package."""
-    spec = importlib.util.spec_from_file_location(Path(place).stem, Path(__file__).parents[1] / f"{place}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-values = module_at("formats/xacro_values")
-Refused = values.Refused
 
 
 class GivenArguments(dict):
@@ -85,22 +68,15 @@ class Expansion:
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files = module_at("formats/xacro_files").Files(values, job["folders"])
-        self.evaluator, self.arguments = values.Evaluator(), GivenArguments(job["arguments"])
-        self.packages, self.known = module_at("packages"), dict[str, str]()
+        self.files = Files(job["folders"])
+        self.evaluator, self.arguments = Evaluator(), GivenArguments(job["arguments"])
+        self.known: dict[str, str] = {}  # folders of packages
         self.written = 0
-        for module in (xacro, substitution):
-            for name in REPLACED[module.__name__]:
-                if not hasattr(module, name):
-                    raise Refused(f"this version of xacro has no {name}; install the version that the toolkit knows")
-            module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
-        self._all, self._text = xacro.eval_all, xacro.eval_text
-        self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
         # body of each macro and the cost of a copy in steps, by the body's id
         self.bodies: dict[int, tuple[Any, int]] = {}
-        plain = module_at("formats/xacro_library").library(values, self.evaluator)
+        plain = library(self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
-        own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
+        own = {name: Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
         self.symbols |= own
         for name, inside in {**plain, "xacro": own}.items():
             if name:
@@ -108,7 +84,9 @@ class Expansion:
                 self.symbols[name].update(inside)
         for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
             del self.symbols[name]  # Expressions call these functions only as xacro.NAME.
-        xacro.__dict__.update(
+        self.original: dict[str, Any] = vars(xacro).copy()
+        self._replace_in(
+            xacro,
             eval_all=self.eval_all,
             eval_text=self.eval_text,
             resolve_macro=self.resolve_macro,
@@ -118,10 +96,11 @@ class Expansion:
             load_yaml=self.load_yaml,
             parse=self.parse,
             get_include_files=self.included,
-            abs_filename_spec=self.absolute(xacro.abs_filename_spec),
+            abs_filename_spec=self.absolute,
             _global_symbols=self.symbols,
         )
-        substitution.__dict__.update(
+        self._replace_in(
+            substitution,
             _eval=self.eval_eval,
             _eval_arg=lambda name, args: args[name],
             _eval_dirname=self.dirname,
@@ -129,6 +108,13 @@ class Expansion:
             _eval_find=self.find,
             _eval_optenv=lambda name, default="": self.arguments[name] if name in self.arguments else default,
         )
+
+    def _replace_in(self, module: Any, **functions: Any) -> None:
+        """Replace functions of a module of xacro. Raises Refused if it has none of a name, because it would then be unsafe."""
+        for name in functions:
+            if not hasattr(module, name):
+                raise Refused(f"this version of xacro has no {name}; install the version that the toolkit knows")
+        vars(module).update(functions, **dict.fromkeys(("eval", "exec", "compile", "open"), _never))
 
     def own(self) -> dict[str, Callable[..., Any]]:
         """Return the functions that expressions may call as xacro.NAME."""
@@ -144,7 +130,7 @@ class Expansion:
 
         return {
             "load_yaml": self.load_yaml,
-            "abs_filename": lambda name: self.xacro.abs_filename_spec(name),
+            "abs_filename": self.absolute,
             "dotify": lambda value: value,  # xacro makes a dict allow d.key here; in these expressions every dict does.
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
@@ -155,11 +141,11 @@ class Expansion:
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
         """Expand an element and count it."""
         self.evaluator.spend(4 + len(node.childNodes))
-        self._all(node, macros, symbols)
+        self.original["eval_all"](node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
         """Return a macro, and count the cost of copying its body, which xacro does next."""
-        found = self._resolve(name, macros, symbols)
+        found = self.original["resolve_macro"](name, macros, symbols)
         body = found[2].body
         if id(body) not in self.bodies:
             self.bodies[id(body)] = body, _weight(body)
@@ -171,46 +157,40 @@ class Expansion:
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
-        self._replace(node, by, content_only)
+        self.original["replace_node"](node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
         """Evaluate a text with expressions, and count what that costs."""
         if "$" not in text:
             return text
-        if len(text) > values.LONGEST:
-            raise Refused(f"a text with expressions has more than {values.LONGEST:,} characters")
+        if len(text) > LONGEST:
+            raise Refused(f"a text with expressions has more than {LONGEST:,} characters")
         self.evaluator.spend(1 + len(text) // 50)
-        made = self._text(text, symbols)
+        made = self.original["eval_text"](text, symbols)
         if isinstance(made, str):
             self.written += len(made)
-            if len(made) > values.LARGEST or self.written > BYTES:
-                raise Refused(f"a text of more than {values.LARGEST:,} characters is put together, or too many")
+            if len(made) > LARGEST or self.written > CAPS.bytes:
+                raise Refused(f"a text of more than {LARGEST:,} characters is put together, or too many")
         return made
 
     def eval_eval(self, text: str, context: dict) -> str:
         """Evaluate $(eval ...), an expression that may use arguments as names."""
-        expansion = self
+        arguments = self.arguments
 
-        class Names(Mapping[str, Any]):
-            def __getitem__(self, name: str) -> Any:
-                if name in own:
-                    return own[name]
-                return _converted(expansion.arguments[name])
-
-            __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
+        class Names(dict):
+            def __missing__(self, name: str) -> Any:
+                return _converted(arguments[name])
 
         functions = {"arg": lambda name: _converted(self.arguments[name]), "env": self.env, "find": self.find}
         functions |= {"optenv": lambda name, default="": self.arguments.get(name, default), "dirname": self.dirname}
-        own = {name: values.Function(name, does) for name, does in functions.items()}
+        own = {name: Function(name, does) for name, does in functions.items()}
         own |= {**self.symbols, "true": True, "false": False}
-        return str(self.evaluator.evaluate(text, Names()))
+        return str(self.evaluator.evaluate(text, Names(own)))
 
     def find(self, name: str) -> str:
         """Return the folder of a package, from which files may be read from now on."""
         if name not in self.known:
-            found = self.packages.find_package(
-                name, Path(self.job["file"]), self.job["package_dirs"], self.job["environment"]
-            )
+            found = find_package(name, Path(self.job["file"]), self.job["package_dirs"], self.job["environment"])
             if found is None:
                 raise Refused(
                     f"there is no package '{name[:100]}'; name its folder, the one with its package.xml, with "
@@ -232,23 +212,19 @@ class Expansion:
         """Return the value of $(dirname), the folder of the file being expanded."""
         return os.path.dirname(os.path.abspath(self.xacro.filestack[-1]))
 
-    def absolute(self, original: Callable[[str], str]) -> Callable[[str], str]:
-        """Wrap xacro's function that makes a file name absolute so that it understands package:// too."""
-
-        def path(name: str) -> str:
-            scheme, _, rest = str(name).partition("://")
-            if scheme == "file":
-                return rest
-            if scheme != "package":
-                return original(str(name))
-            package, _, inner = rest.partition("/")
-            return os.path.join(self.find(package), inner)
-
-        return path
+    def absolute(self, name: str) -> str:
+        """Make the name of a file absolute, as xacro does, and understand package:// too."""
+        scheme, _, rest = str(name).partition("://")
+        if scheme == "file":
+            return rest
+        if scheme != "package":
+            return self.original["abs_filename_spec"](str(name))
+        package, _, inner = rest.partition("/")
+        return os.path.join(self.find(package), inner)
 
     def included(self, name: str, symbols: Any) -> Any:
         """Yield the files that an include names."""
-        path = self.xacro.abs_filename_spec(str(self.xacro.eval_text(name, symbols)))
+        path = self.absolute(str(self.xacro.eval_text(name, symbols)))
         found = [path]
         if re.search("[*?[]", path):
             found = sorted(itertools.islice(glob.iglob(path), FILES))
@@ -273,7 +249,7 @@ class Expansion:
 
     def load_yaml(self, name: str) -> Any:
         """Return the plain values of a YAML file."""
-        path = self.xacro.abs_filename_spec(name)
+        path = self.absolute(name)
         self.xacro.filestack.append(path)
         made = self.files.yaml(path, lambda text: float(self.evaluator.evaluate(text, self.symbols)))
         self.xacro.filestack.pop()
@@ -339,7 +315,6 @@ def told(cause: BaseException, stack: list[str]) -> str:
 def _main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
-    limit = module_at("geometry/mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlanes, Separation, free_until, levers, rows
+from ..probe import mimics
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
@@ -105,9 +106,9 @@ class Clearance:
     def _joints(self, shapes: Any) -> None:
         """Find which joint moves which shape, and where each shape lies on its link."""
         model, names = self.robot.model, self.robot.joint_names
-        lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
-        moving = [i for i in range(1, model.njoints) if model.names[lead.get(i, i)] in names]
-        self.coordinates = np.array([names.index(model.names[lead.get(i, i)]) for i in moving])
+        lead = {j: model.names[leader] for j, (leader, _, _) in mimics(model).items()}
+        moving = {i: leader for i, name in enumerate(model.names) if (leader := lead.get(i, name)) in names and i}
+        self.coordinates = np.array([names.index(leader) for leader in moving.values()])
         self._columns = np.array([model.idx_vExtendeds[i] for i in moving])
         self._owner = np.array([shape.parentJoint for shape in shapes])
         above = [set(model.supports[int(i)]) for i in self._owner]

@@ -16,19 +16,13 @@ import pinocchio as pin
 
 from ...errors import ModelError
 from ..base import put_on
-from ..formats.urdf import Item, attribute_numbers, parse
+from ..formats.urdf import SIZES, Item, finite_at, parse
 from ..rotation import rpy_matrix
 from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_packages, read_meshes
 
 # Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
-SIZES = {  # Maps a shape to the URDF attributes of its size and how many numbers they hold.
-    "box": {"size": 3},
-    "sphere": {"radius": 1},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-}
 ROLES = {"surface": "collision", "look": "visual"}
 Problems = list[tuple[str, str]]  # A problem names an element and what is wrong with it.
 
@@ -239,12 +233,11 @@ def _numbers(
 ) -> tuple[float, ...]:
     values: list[float] = []
     for key, count in counts.items():
-        text = attributes.get(key, default)
-        if text is None:
+        if default is None and key not in attributes:
             raise ModelError(f"<{tag}> has no {key}")
-        some = attribute_numbers(text)
-        if some is None or len(some) != count or not np.isfinite(some).all():
-            raise ModelError(f'<{tag} {key}="{text[:60]}"> is not {count} finite number{"s" * (count > 1)}')
+        some = finite_at(attributes, key, count, default or "")
+        if not some:
+            raise ModelError(f'<{tag} {key}="{attributes[key][:60]}"> is not {count} finite number{"s" * (count > 1)}')
         values += some
     return tuple(values)
 
@@ -263,5 +256,4 @@ def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
 
 def _color(attributes: Mapping[str, str]) -> tuple[float, ...] | None:
     """Return the (r, g, b, opacity) of a <color>, each in 0..1, or None."""
-    values = attribute_numbers(attributes.get("rgba", "")) or []
-    return tuple(min(max(x, 0.0), 1.0) for x in values) if len(values) == 4 and np.isfinite(values).all() else None
+    return tuple(min(max(x, 0.0), 1.0) for x in finite_at(attributes, "rgba", 4)) or None

@@ -1,13 +1,12 @@
 """Subprocess that reads mesh files for `meshes.py`, so that a file that crashes its reader crashes only this process.
 
-It imports nothing from the toolkit. Its job (JSON on stdin) has kind, 'surface' (triangles by coal, for collisions) or
+Its job (JSON on stdin) has kind, 'surface' (triangles by coal, for collisions) or
 'look' (triangles and colours by trimesh), out (a folder), folders (the only ones referenced files are read from),
 files, and the limits. It prints "begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0
 (vertices [m], faces, colour or empty), v1, ...
 """
 
 import base64
-import contextlib
 import io
 import json
 import os
@@ -16,6 +15,9 @@ import warnings
 from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
+
+sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+from ik_toolkit.robot.formats.sandbox import limit
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
 REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
@@ -94,25 +96,20 @@ def check_xml(raw: bytes) -> None:
 def check_instances(inside: dict[str, list]) -> None:
     """Reject nodes that contain themselves, are nested too deep, or multiply (two instances of two instances of ...)."""
     size: dict[str, int] = {}
+
+    def visit(node: str, above: tuple[str, ...]) -> int:
+        if node in above:
+            raise MeshRefused(f"its node {node[:60]!r} contains itself")
+        if len(above) > DEEP:
+            raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
+        if node not in size:
+            size[node] = 1 + sum(visit(child, (*above, node)) for child in inside.get(node, ()))
+            if size[node] > REPEATED:
+                raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
+        return size[node]
+
     for root in inside:
-        path = [(root, iter(inside[root]))] if root not in size else []
-        on_path = {root}
-        while path:
-            node, rest = path[-1]
-            child = next(rest, None)
-            if child is None:
-                size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
-                if size[node] > REPEATED:
-                    raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
-                path.pop()
-                on_path.discard(node)
-            elif child in on_path:
-                raise MeshRefused(f"its node {child[:60]!r} contains itself")
-            elif child in inside and child not in size:
-                path.append((child, iter(inside[child])))
-                on_path.add(child)
-                if len(path) > DEEP:
-                    raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
+        visit(root, ())
 
 
 def inline(raw: bytes, references: References) -> bytes:
@@ -210,16 +207,6 @@ def read_mesh(file: Path, references: References, job: dict, out: Path, number: 
     if not count:
         raise MeshRefused("it has no triangles")
     np.savez(out / f"{number}.npz", **arrays)
-
-
-def limit(what: str, value: int) -> None:
-    """Limit a resource of this process where the system supports it."""
-    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
-        import resource
-
-        number = getattr(resource, f"RLIMIT_{what}")
-        hard = resource.getrlimit(number)[1]
-        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
 
 
 def _main() -> None:

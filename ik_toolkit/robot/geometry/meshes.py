@@ -8,8 +8,6 @@ links that lead outside are rejected; the same holds for files a mesh refers to.
 import json
 import math
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ModelError
+from ..formats.sandbox import run
 from ..packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
@@ -177,28 +176,14 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         }
         # One thread is enough, and every further one takes memory.
         threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", str(WORKER)],
-                input=json.dumps(job),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                timeout=6.0 * math.fsum(seconds),  # The limit on wall time allows for a busy machine or a slow disk.
-                env={**os.environ, **threads},
-                check=False,
-            )
-            said, end = done.stdout, "crashed its reader, or took too much time or memory"
-        except subprocess.TimeoutExpired as error:
-            said, end = error.stdout or "", "took too much time"
-            said = said.decode() if isinstance(said, bytes) else said
-        except OSError as error:
-            raise ModelError(f"the process that reads meshes cannot be started: {error.strerror}") from None
-        rows = [json.loads(line) for line in said.splitlines() if line.startswith("{") and line.endswith("}")]
-        if not said.startswith("begin"):
+        # The limit on wall time allows for a busy machine or a slow disk.
+        lines, ended = run(WORKER, "reads meshes", job, 6.0 * math.fsum(seconds), **threads)
+        end = "crashed its reader, or took too much time or memory" if ended else "took too much time"
+        if not lines or not lines[0].startswith("begin"):
             raise ModelError(
                 "the process that reads meshes ended before it read any; is this Python installation intact?"
             )
+        rows = [json.loads(line) for line in lines if line.startswith("{") and line.endswith("}")]
         meshes = {}
         for row in rows:
             pieces = () if row["refused"] else _pieces(Path(out) / f"{row['file']}.npz")

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
 from ...files import as_path
-from .link_shapes import SIZES
+from ..formats.urdf import SIZES
 from .meshes import Mesh, find_mesh, read_meshes
 
 
