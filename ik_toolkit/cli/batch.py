@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResu
 from ..solvers.batch.solve_batch import solve_batch, solve_parts
 from ..solvers.status import Status
 from ..text import duration, figure
-from .output import facts, notice, progress, show, write_json
+from .output import notice, progress, show, write_json
 from .streams import uninterrupted
 
 OUTPUTS = (".csv", ".npz", ".parquet")
@@ -179,11 +180,10 @@ class _Tally:
 
     def __init__(self) -> None:
         self.done, self.solver, self.failed = 0, "", ""
-        self.statuses: dict[str, int] = {}
+        self.statuses: Counter[str] = Counter()
 
     def add(self, part: BatchResult) -> None:
-        for status, number in part.counts().items():
-            self.statuses[status] = self.statuses.get(status, 0) + number
+        self.statuses.update(part.counts())
         if not self.failed and not part.success.all():
             k = int(part.success.argmin())
             first = part[k]
@@ -257,7 +257,7 @@ def solve_file(
     done = tally.done
     elapsed = perf_counter() - began - compile_time(began, everywhere=True)
     notice(f"wrote {output}")
-    solved = tally.statuses.get("CONVERGED", 0)
+    solved = tally.statuses["CONVERGED"]
     payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
     payload |= {"tips": arm.tips} if arm.named_tips else {}
     payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
@@ -265,13 +265,8 @@ def solve_file(
     if not as_json:
         others = ", ".join(f"{number} {status}" for status, number in tally.statuses.items() if status != "CONVERGED")
         rate = f"{duration(elapsed)}, {figure(done / elapsed)} targets/s with reading and writing"
-        facing = {
-            "solved": f"{solved} of {done}",
-            "not solved": others or None,
-            "solver": tally.solver or None,
-            "computed in": rate,
-        }
-        show(facts(facing))
+        solved_of = {"solved": f"{solved} of {done}", "not solved": others or None}
+        show(solved_of | {"solver": tally.solver or None, "computed in": rate})
     if solved < done:
         notice(tally.failed)
         raise typer.Exit(1)

@@ -1,13 +1,15 @@
 """`ik bench`: comparison of the solvers of this package on a robot."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
-from ..files import write_table, write_whole
+from ..files import write_whole
 from .command import PLOTS, argument, command, option, options, same
-from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, robots_like, solver_named, solvers_like
-from .output import notice, partial, progress, show, table, write_json
+from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, robots_like, solver_named, solvers_like
+from .output import notice, partial, progress, show, table, write_json, write_rows
+from .pictures import chart
 from .streams import uninterrupted
 
 FIGURES = ("targets", "solved", "low", "high", "median", "mean", "p99", "iterations", "restarts", "fk_evaluations")
@@ -74,8 +76,7 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
         raise InvalidOption(f"--tip is for one robot; {len(names)} are given")
     robots = [RobotOptions(robot=name, tip=asked.tip) for name in names]
     arms = [robot.load(robot.tips) for robot in robots]
-    unchanged = ("targets", "start", "task", "seed", "tolerance", "max_iterations", "restarts")
-    options = {name: getattr(asked, name) for name in unchanged if getattr(asked, name) is not None}
+    options = {name: value for name, value in given(asked).items() if name not in ("robots", "solvers", "tip")}
     stopped, counted = False, (0, 0)
     try:
         with progress("solving", None) as bar:
@@ -91,17 +92,15 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
         if not found.rows:
             raise KeyboardInterrupt from None
     with uninterrupted():
-        write_json(found.to_dict(), out.as_json, partial(out.output) if stopped and out.output else out.output)
-        for file, write in ((out.csv_file, _write_csv), (out.latex, _write_latex)):
-            if file is not None:
-                place = partial(file) if stopped else file
-                write(place, found)
-                notice(f"wrote {place}")
-    if out.plot is not None and not stopped:
-        from ..show.plot import plot
-
-        plot(found, file=out.plot)
-        notice(f"wrote {out.plot}")
+        output, csv_file, latex = (
+            partial(file) if stopped and file is not None else file for file in (out.output, out.csv_file, out.latex)
+        )
+        write_json(found.to_dict(), out.as_json, output)
+        _write_csv(csv_file, found)
+        if latex is not None:
+            write_whole(latex, _latex(found))
+            notice(f"wrote {latex}")
+    chart(None if stopped else out.plot, found)
     if not out.as_json:
         _show(found)
     if stopped:
@@ -109,17 +108,16 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
         raise KeyboardInterrupt
 
 
-def _write_csv(file: Path, found: Any) -> None:
+def _write_csv(file: Path | None, found: Any) -> None:
     """Write the results as CSV, with times in seconds; columns that begin with "once" are for a single attempt."""
     head = ["robot", "solver", "task", *FIGURES, *(f"once_{name}" for name in FIGURES)]
     both = (((one.robot, one.solver, one.task), (one, one.once or one)) for one in found.rows)
-    write_table(
-        file, head, ([*names, *(getattr(part, name) for part in parts for name in FIGURES)] for names, parts in both)
-    )
+    rows = ([*names, *(getattr(part, name) for part in parts for name in FIGURES)] for names, parts in both)
+    write_rows(file, head, rows)
 
 
-def _write_latex(file: Path, found: Any) -> None:
-    """Write a LaTeX table (booktabs) of success with its interval and median time, for one attempt and with restarts."""
+def _latex(found: Any) -> str:
+    """Return a LaTeX table (booktabs) of success with its interval and median time, for one attempt and with restarts."""
     lines = [
         r"\begin{tabular}{llrrrr}",
         r"\toprule",
@@ -128,25 +126,25 @@ def _write_latex(file: Path, found: Any) -> None:
     ]
     for row in found.rows:
         cells = [name.replace("_", r"\_") for name in (row.robot, row.solver)]
-        for one in filter(None, (row.once, row)):
-            share = f"{100 * one.solved / one.targets:.4g} [{100 * one.low:.3g}, {100 * one.high:.3g}]"
-            cells += [share, _short(1e6 * one.median)]
-        lines.append(" & ".join(cells) + r" \\")
-    write_whole(file, "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""]))
+        lines.append(" & ".join([*cells, *_cells(row, "{} [{}, {}]")]) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def _show(found: Any) -> None:
     for robot, rows in found.by_robot().items():
         made = table("<\nsolver", *(f">{column}" for column in COLUMNS))
         for row in rows:
-            cells = [row.solver]
-            for one in filter(None, (row.once, row)):
-                share = f"{100 * one.solved / one.targets:.4g}"
-                cells += [f"{share} {100 * one.low:.3g}-{100 * one.high:.3g}", _short(1e6 * one.median)]
-            made.add_row(*cells, _short(1e6 * row.p99))
+            made.add_row(row.solver, *_cells(row, "{} {}-{}"), _short(1e6 * row.p99))
         show(f"{robot}: {rows[0].targets} targets ({rows[0].task}), {found.options['restarts']} restarts", made)
     for (robot, solver), why in found.skipped.items():
         notice(f"{robot}: {solver} left out: {why}")
+
+
+def _cells(row: Any, form: str) -> Iterator[str]:
+    """Yield success [%], with its interval in this form, and median time [us], for one attempt and with restarts."""
+    for one in filter(None, (row.once, row)):
+        yield form.format(f"{100 * one.solved / one.targets:.4g}", f"{100 * one.low:.3g}", f"{100 * one.high:.3g}")
+        yield _short(1e6 * one.median)
 
 
 def _short(number: float) -> str:

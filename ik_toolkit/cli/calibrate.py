@@ -12,7 +12,8 @@ from ..files import write_table
 from ..text import figure, length, numbers, vector
 from .command import PLOTS, command, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
-from .output import facts, heading, notice, show, table, turns, write_json
+from .output import heading, notice, show, table, turns, write_json
+from .pictures import chart
 
 
 @options()
@@ -93,11 +94,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     if asked.html is not None:
         found.save(asked.html)
         notice(f"wrote {asked.html}")
-    if asked.plot is not None:
-        from ..show.plot import plot as draw
-
-        draw(found, file=asked.plot)
-        notice(f"wrote {asked.plot}")
+    chart(asked.plot, found)
     write_json({**found.to_dict(), "output": asked.output}, out.as_json)
     if not out.as_json:
         _show(found)
@@ -126,13 +123,9 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]
         Q, measured = read_named(path, ("q", "measured"))
         what = asked.what or ("pose" if measured.ndim == 3 else "position")
         if what in ("pose", "position", "distance"):
-            (
-                measured[..., :3, 3]
-                if measured.ndim == 3
-                else measured[:, -1:]
-                if what == "distance" and measured.ndim == 2
-                else measured
-            )[...] *= scale
+            pairs = what == "distance" and measured.ndim == 2
+            lengths = measured[..., :3, 3] if measured.ndim == 3 else measured[:, -1:] if pairs else measured
+            lengths *= scale
         return what, Q * (unit if Q.ndim == 2 and Q.shape[1] == arm.n else 1.0), measured
     if path.suffix.lower() != ".csv" or not path.is_file():
         raise InvalidTarget(f"--data takes an existing .csv or .npz file, not '{path}'")
@@ -204,19 +197,17 @@ def _suggest(asked: CalibrateOptions, robot: OneTip, arm: Any, groups: list[str]
 def _show(found: Any) -> None:
     """Print the result of a calibration."""
     before, after = found.rms
-    noise = length(found.noise[0]) + (
-        f", {figure(math.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else ""
-    )
+    noise = length(found.noise[0])
+    noise += f", {figure(math.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else ""
+    held_out = f"; held out {length(found.held_out)}" if found.held_out is not None else ""
     lines = {
         "as drawn": f"{length(before)} (root mean square of {len(found.after)} measurements)",
-        "corrected": f"{length(after)}; held out {length(found.held_out)}"
-        if found.held_out is not None
-        else length(after),
+        "corrected": length(after) + held_out,
         "noise": f"{noise} of a measurement",
         "told": f"{found.rank} of {len(found.x)} unknowns; {found.rank_drawn} at the arm as drawn",
         "observability": f"O1 {figure(found.observability)}, condition {figure(found.condition)}",
     }
-    show(facts(lines))
+    show(lines)
     made = table("<error", ">found", ">95 %", "<")
     kinds = {one.name: one.turns for one in found.unknowns}
     for name, (x, half) in found.errors.items():
@@ -225,19 +216,12 @@ def _show(found: Any) -> None:
     show(made)
     if found.fixed:
         show(heading("fixed as drawn, because other errors move the tip in the same way"))
-        show(facts({one.fixed: ", ".join(one.shared) or "nothing measured depends on it" for one in found.fixed}))
+        show({one.fixed: ", ".join(one.shared) or "nothing measured depends on it" for one in found.fixed})
     if len(found.touched):
         show(heading("places touched [m], base frame"))
-        show(facts({str(k): "  ".join(f"{x:.5f}" for x in place) for k, place in enumerate(found.touched.tolist())}))
+        show({str(k): "  ".join(f"{x:.5f}" for x in place) for k, place in enumerate(found.touched.tolist())})
     if "base" in found.parameters:
-        T = found.T_world_base
-        show(
-            facts(
-                {
-                    "base": "  ".join(f"{x:.5f}" for x in T[:3, 3])
-                    + " m, in the frame of the measurements (--json has the rotation)"
-                }
-            )
-        )
+        place = "  ".join(f"{x:.5f}" for x in found.T_world_base[:3, 3])
+        show({"base": f"{place} m, in the frame of the measurements (--json has the rotation)"})
     for note in found.notes:
         show(f"- {note}")

@@ -5,13 +5,11 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
-from ..text import equations, parameter
+from ..text import equations
 from .command import command, option, options
-from .options import JsonOutput, RobotOptions, assignments, joint_vector
-from .output import facts, notice, show, write_json
+from .options import JsonOutput, RobotOptions, above_zero, joint_vector, parameters
+from .output import notice, show, write_json
 from .track_path import PathOptions, asked_path
-
-GAINS = ("kappa", "kp", "kd")
 
 
 @options()
@@ -66,12 +64,13 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     rates = None if least is None else {name: getattr(least, name) for name in names}
     write_json({"robot": arm.name, **vars(check), "along": along, "rates": rates}, out.as_json)
     if not out.as_json:
-        show(facts({
+        show({
             "robot": arm.name,
             "method": f"{check.method}, {equations(used)}",
             "stability": judged(check),
             "best at rest": equations(check.suggestion),
-        } | ({} if least is None else {"least rate": least.message})))  # fmt: skip
+            "least rate": None if least is None else least.message,
+        })  # fmt: skip
     notice(check.message)
     if not check.stable:
         raise typer.Exit(1)
@@ -81,11 +80,8 @@ def chosen(asked: PathOptions) -> dict[str, float]:
     """Return the gains given by options, completed by the best ones for the rate. Raises InvalidOption."""
     from ..servo.stability import best_gains
 
-    if not 0.0 < asked.rate < float("inf"):
-        raise InvalidOption(f"--rate must be positive, not {asked.rate}")
-    params = {name: parameter(name, text) for name, text in assignments(asked.param, "-p").items()}
-    given = {name: getattr(asked, name) for name in GAINS if getattr(asked, name) is not None} | params
-    return best_gains(asked.method, 1.0 / asked.rate) | given
+    h = 1.0 / above_zero(asked.rate, "--rate")
+    return best_gains(asked.method, h) | asked.gains | parameters(asked.param)
 
 
 def judged(check: Any) -> str:
@@ -103,13 +99,12 @@ def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], mos
     """
     from ..motion.reference import Reference
     from ..robot.robot import Robot
-    from ..servo.stability import GAINS as NAMES
-    from ..servo.stability import check_gains
+    from ..servo.stability import GAINS, check_gains
 
     if check is None or not isinstance(arm, Robot) or not isinstance(path, Reference) or path.duration > most * check.h:
         return check
     try:
-        gains = {name: options[name] for name in NAMES[check.method] if name in options}
+        gains = {name: options[name] for name in GAINS[check.method] if name in options}
         return check_gains(check.method, check.h, robot=arm, path=path, **gains)
     except InvalidTarget:  # The run says where the path cannot be followed.
         return check

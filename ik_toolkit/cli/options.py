@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
-from ..text import comma_hint, numbers, vector, with_points
+from ..text import comma_hint, numbers, parameter, vector, with_points
 from .command import TIP, argument, flag, option, options
 from .output import notice, turns
 
@@ -302,6 +302,18 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
     return split
 
 
+def parameters(pairs: Sequence[str] | None) -> dict[str, Any]:
+    """Return the parameters set by -p, with their values read."""
+    return {name: parameter(name, text) for name, text in assignments(pairs, "-p").items()}
+
+
+def above_zero(value: float, name: str) -> float:
+    """Return the value of an option. Raises InvalidOption unless it is positive and finite."""
+    if not 0.0 < value < math.inf:
+        raise InvalidOption(f"{name} must be positive, not {value:g}")
+    return value
+
+
 # ------------------------------------------------------------------------------------------------ tolerances, obstacles
 def given(record: Any) -> dict[str, Any]:
     """Return the options of a class that were given (are not None), by name."""
@@ -383,10 +395,5 @@ class CollisionOptions:
             if len(values) != 3 + sizes and not turned:
                 raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")
             place, size = pose(values[:3], rpy=values[-3:] if turned else None), values[3 : 3 + sizes]
-            if kind == "box":
-                model.add_box(size, place)
-            elif kind == "sphere":
-                model.add_sphere(size[0], place)
-            else:
-                model.add_cylinder(size[0], size[1], place)
+            getattr(model, f"add_{kind}")(*([size] if kind == "box" else size), place)
         return {"avoid_collisions": model}

@@ -6,15 +6,16 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import clean
-from ..files import PARTIAL, write_whole
+from ..files import PARTIAL, write_table, write_whole
 from ..text import in_shell, plain
+from .streams import uninterrupted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -63,6 +64,21 @@ def partial(output: Path) -> Path:
     return output.with_name(output.name + PARTIAL)
 
 
+def keep_partial(result: Any, output: Path, what: str) -> None:
+    """Save the finished part of an interrupted command next to the file asked for, and say what is in it."""
+    with uninterrupted():
+        kept = partial(output)
+        result.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
+        notice(f"partial: {what} in {kept}")
+
+
+def write_rows(file: Path | None, head: Iterable[str], rows: Iterable[Iterable[float | str]]) -> None:
+    """Write a table as CSV, if a file is given."""
+    if file is not None:
+        write_table(file, [*head], rows)
+        notice(f"wrote {file}")
+
+
 def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = None) -> None:
     """Print the object on stdout when `as_json`, and write it to `output` when that is given."""
     if output is not None:
@@ -72,8 +88,8 @@ def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = Non
         print(json.dumps(plain(payload), allow_nan=False))
 
 
-def table(*columns: str) -> "Table":
-    """Make an empty table; columns whose names begin with '<' or '>' never wrap, those with '>' are right-aligned."""
+def table(*columns: str, rows: Iterable[Iterable[Any]] = ()) -> "Table":
+    """Make a table of rows; columns whose names begin with '<' or '>' never wrap, those with '>' are right-aligned."""
     from rich import box
     from rich.table import Table
 
@@ -81,12 +97,15 @@ def table(*columns: str) -> "Table":
     for column in columns:
         right, whole = column.startswith(">"), column.startswith(("<", ">"))
         made.add_column(column.lstrip("<>"), justify="right" if right else "left", no_wrap=whole, overflow="fold")
+    for row in rows:
+        made.add_row(*row)
     return made
 
 
 def show(*things: Any) -> None:
     """Print tables and lines on stdout, as wide as the terminal, or 100 characters if there is none.
 
+    A dict is printed as a list of names and values, those that are None left out.
     If a table is too wide, its padding is left out, then file names break after a folder, then all names wrap; numbers never do.
     """
     from rich.console import Console
@@ -95,7 +114,7 @@ def show(*things: Any) -> None:
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 100
     console = Console(width=width, highlight=False, markup=False)
     room = console.width
-    for thing in things:
+    for thing in [_facts(thing) if isinstance(thing, dict) else thing for thing in things]:
         if _least(thing) > room:
             thing.padding = 0
         for column in getattr(thing, "columns", ()):
@@ -132,8 +151,8 @@ def heading(text: str) -> "Text":
     return Text(text, style="bold")
 
 
-def facts(rows: dict[str, Any]) -> "Table":
-    """Make a two-column list of names and values, without lines; rows whose value is None are left out."""
+def _facts(rows: dict[str, Any]) -> "Table":
+    """Make a two-column list of names and values, without lines."""
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))

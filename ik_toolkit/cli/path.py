@@ -9,9 +9,18 @@ import typer
 from ..errors import InvalidOption
 from ..text import angle, comma_hint, duration, figure, length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options, same
-from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
-from .output import facts, notice, partial, progress, show, table, write_json
-from .pictures import present
+from .options import (
+    CollisionOptions,
+    FileOptions,
+    RobotOptions,
+    SceneOutput,
+    ToleranceOptions,
+    above_zero,
+    given,
+    joint_vector,
+)
+from .output import keep_partial, notice, progress, show, table, write_json
+from .pictures import chart, show_scene
 from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
@@ -73,20 +82,19 @@ class PathOptions:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None and self.output.suffix.lower() == ".npz":
             raise InvalidOption(f"a trajectory is written as .csv or .json, not '{self.output}'")
-        sizes = ("--max-step-deg", self.max_step_deg), ("--max-step-mm", self.max_step_mm)
-        for name, value in (*sizes, ("--path-tolerance-mm", self.path_tolerance_mm or 1.0)):
-            if not 0.0 < value < math.inf:
-                raise InvalidOption(f"{name} must be positive, not {value:g}")
+        above_zero(self.max_step_deg, "--max-step-deg")
+        above_zero(self.max_step_mm, "--max-step-mm")
+        above_zero(self.path_tolerance_mm or 1.0, "--path-tolerance-mm")
 
     def read(self, arm: Any, deg: bool) -> dict[str, Any]:
         """Return the options given, by name, for a call of `solve_path`."""
-        ends = {"q0": joint_vector(arm, self.q0, "--q0", deg), "q_end": joint_vector(arm, self.q_end, "--q-end", deg)}
-        words = self.reconfigurations
+        words, off = self.reconfigurations, self.path_tolerance_mm
         return {
-            **{name: q for name, q in ends.items() if q is not None},
+            "q0": joint_vector(arm, self.q0, "--q0", deg),
+            "q_end": joint_vector(arm, self.q_end, "--q-end", deg),
             "reconfigurations": int(words) if words.isdecimal() else words,
             "max_step": (math.radians(self.max_step_deg), 1e-3 * self.max_step_mm),
-            **({} if self.path_tolerance_mm is None else {"path_tolerance": (1e-3 * self.path_tolerance_mm, TURN)}),
+            "path_tolerance": None if off is None else (1e-3 * off, TURN),
         }
 
 
@@ -148,20 +156,14 @@ def path(
     except KeyboardInterrupt as stop:
         found = stop.result if isinstance(stop, PathInterrupted) else result
         if asked.output is not None and found is not None:
-            _keep(found, asked.output, "the path, without times," if asked.retime else "the best path so far")
+            what = "the path, without times," if asked.retime else "the best path so far"
+            keep_partial(found, asked.output, f"{what}, {found.status.name}, is")
         raise
     with uninterrupted():
         _write(result, made, asked)
     what = result if made is None else made
-    if asked.plot is not None:
-        from ..show.plot import plot
-
-        plot(what, file=asked.plot)
-        notice(f"wrote {asked.plot}")
-    if out.html is not None or out.live:
-        from ..show.scene import view
-
-        present(view(result.robot, what), out.html, out.live)
+    chart(asked.plot, what)
+    show_scene(result.robot, what, out.html, out.live)
     write_json(_payload(result, made), out.as_json)
     if not out.as_json:
         _show(result, made)
@@ -191,14 +193,6 @@ def _numbers(text: str | None, option: str, joints: int) -> Any:
         hint = comma_hint(text, option, (1, joints))
         raise InvalidOption(f"{option} takes one number, or {joints}, one per joint; got {len(found)}{hint}")
     return found[0] if len(found) == 1 else found
-
-
-def _keep(found: Any, output: Path, what: str) -> None:
-    """Save the path of an interrupted command next to the requested file."""
-    with uninterrupted():
-        kept = partial(output)
-        found.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
-        notice(f"partial: {what}, {found.status.name}, is in {kept}")
 
 
 def _write(result: Any, made: Any, asked: PathOptions) -> None:
@@ -233,21 +227,17 @@ def _show(result: Any, made: Any) -> None:
     changes = "none" if not result.reconfigurations else str(len(result.reconfigurations))
     if result.reconfigurations and bound is not None:
         changes += f" (at least {bound} are necessary)" if bound else ""
-    show(
-        facts(
-            {
-                "status": f"{result.status.name}: {result.message}",
-                "poses": f"{len(result.q)}, {len(result.curve) - len(result.q)} more inserted between them",
-                "reconfigurations": changes,
-                "length": f"{figure(turn, 4)} rad" + (f" and {length(slide, 4)}" if slides else ""),
-                "largest step": angle(step) + (f" and {length(glide)}" if slides else ""),
-                "between poses": f"off by {length(off)} and {angle(tilt)} at most (a bound)",
-                "clearance": None if clearance is None else f"at least {length(clearance)}",
-                "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples",
-                "computed in": duration(result.elapsed),
-            }
-        )
-    )
+    show({
+        "status": f"{result.status.name}: {result.message}",
+        "poses": f"{len(result.q)}, {len(result.curve) - len(result.q)} more inserted between them",
+        "reconfigurations": changes,
+        "length": f"{figure(turn, 4)} rad" + (f" and {length(slide, 4)}" if slides else ""),
+        "largest step": angle(step) + (f" and {length(glide)}" if slides else ""),
+        "between poses": f"off by {length(off)} and {angle(tilt)} at most (a bound)",
+        "clearance": None if clearance is None else f"at least {length(clearance)}",
+        "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples",
+        "computed in": duration(result.elapsed),
+    })  # fmt: skip
     if result.reconfigurations:
         changes = table(">between poses", "<joint moving most", ">by")
         for one in result.reconfigurations:

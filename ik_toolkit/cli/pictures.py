@@ -21,11 +21,25 @@ def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html:
 
         title = f"{arm.name}, {what.solver}: {what.status.name}"
         notice(f"wrote {save(convergence(what, title=title), plot)}")
-    if html is not None or live:
-        from ..show.scene import view as make
+    model = None if isinstance(around, bool | None) else around
+    show_scene(arm, what, html, live, target=getattr(target, "T_base_tip", target), obstacles=model)
 
-        model = None if isinstance(around, bool | None) else around
-        present(make(arm, what, target=getattr(target, "T_base_tip", target), obstacles=model), html, live)
+
+def chart(file: Path | None, what: Any, arm: Any = None) -> None:
+    """Draw the chart of a result, if a file is given."""
+    if file is not None:
+        from ..show.plot import plot
+
+        plot(what, arm, file=file)
+        notice(f"wrote {file}")
+
+
+def show_scene(arm: Any, what: Any, html: Path | None, live: bool = False, **more: Any) -> None:
+    """Show a result in 3-D, as a page if a file is given and in the browser if `live`; more: arguments of `view`."""
+    if html is not None or live:
+        from ..show.scene import view
+
+        present(view(arm, what, **more), html, live)
 
 
 def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:

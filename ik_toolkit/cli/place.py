@@ -7,11 +7,11 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..files import write_table
 from ..text import length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
-from .output import facts, fixed, notice, progress, show, table, write_json
+from .output import fixed, notice, progress, show, table, write_json, write_rows
+from .pictures import chart
 
 
 @options()
@@ -53,7 +53,7 @@ def place(
     if robot.base_xyz is not None or robot.base_rpy is not None:
         raise InvalidOption("ik place chooses where the robot stands; omit --base-xyz and --base-rpy")
     arm = robot.load(robot.tip)
-    from ..study.place import PlaceInterrupted
+    from ..study.place import NUMBERS, PlaceInterrupted
     from ..study.place import place as search
 
     poses = file.poses(asked.poses, arm, robot.deg)
@@ -62,31 +62,19 @@ def place(
     turn = math.radians(1.0) if robot.deg else 1.0
     yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
     height, stopped = _one_or_two(asked.height, "--height"), False
-    more: Any = {
-        **given(tolerances),
-        **around.read(arm),
-        "seed": asked.seed,
-        "ordered": asked.ordered,
-        "count": asked.count,
-    }
+    more: Any = given(tolerances) | around.read(arm)
+    more |= {"seed": asked.seed, "ordered": asked.ordered, "count": asked.count}
     with progress("counting", None) as step:
         try:
             found = search(arm, poses, where, yaw=yaw, height=height, progress=step, **more)
         except PlaceInterrupted as interrupt:
             found, stopped = interrupt.result, True
-    _write(found, asked)
+    write_rows(asked.output, NUMBERS, [[getattr(one, key) for key in NUMBERS] for one in found])
+    chart(asked.plot, found)
     write_json(found.to_dict(), out.as_json)
     if not out.as_json:
-        made = table(
-            ">",
-            ">x (m)",
-            ">y (m)",
-            ">z (m)",
-            f">yaw ({'deg' if robot.deg else 'rad'})",
-            ">reached",
-            ">clearance",
-            ">margin",
-        )
+        yaw_in = f">yaw ({'deg' if robot.deg else 'rad'})"
+        made = table(">", ">x (m)", ">y (m)", ">z (m)", yaw_in, ">reached", ">clearance", ">margin")
         for k, one in enumerate(found):
             at = (fixed(x, 3) for x in (one.x, one.y, one.height, one.yaw / turn))
             clear = "-" if math.isnan(one.clearance) else length(one.clearance)
@@ -96,7 +84,7 @@ def place(
             "margin: mean over the poses reached of the distance to the nearest joint limit, 1 in the middle of all ranges"
         )
         if asked.ordered and len(found) and found[0].path is not None:
-            show(facts({"path from the first": found[0].path.message}))
+            show({"path from the first": found[0].path.message})
     if stopped:
         notice(f"partial: the best of {len(found.candidates):,} candidates")
         raise KeyboardInterrupt
@@ -114,17 +102,3 @@ def _one_or_two(text: str, name: str) -> list[float]:
     if len(values) > 2:
         raise InvalidOption(f"{name} takes one number or two, not '{text}'")
     return [values[0], values[-1]]
-
-
-def _write(found: Any, asked: PlaceOptions) -> None:
-    """Write the requested files: places and picture."""
-    if asked.output is not None:
-        from ..study.place import NUMBERS
-
-        write_table(asked.output, [*NUMBERS], [[getattr(one, key) for key in NUMBERS] for one in found])
-        notice(f"wrote {asked.output}")
-    if asked.plot is not None:
-        from ..show.plot import plot
-
-        plot(found, file=asked.plot)
-        notice(f"wrote {asked.plot}")

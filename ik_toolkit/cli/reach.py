@@ -7,8 +7,8 @@ from ..errors import InvalidOption
 from ..text import figure, length
 from .command import PLOTS, command, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
-from .output import facts, notice, partial, progress, show, write_json
-from .pictures import incomplete, written
+from .output import notice, partial, progress, show, write_json
+from .pictures import chart, show_scene
 
 
 @options()
@@ -59,23 +59,21 @@ def reach(
     from ..study.reachability_map import ANSWERS
     from .batch import cluster_of  # it loads the solvers
 
-    region, turns = (
-        _region(asked, file, arm, robot.deg),
-        asked.orientations if asked.orientations == "any" else _count(asked),
-    )
+    region = _region(asked, file, arm, robot.deg)
+    turns = _word_or_count(asked.orientations, "any", "--orientations", "tool axes")
+    audit = _word_or_count(asked.audit, "full", "--audit", "noes")
     grid = grid_of(arm, region, asked.resolution, turns)
     size = f" x {grid.turns} orientations" if grid.rotations is not None else ""
     cells = "poses" if grid.poses is not None else f"cells of {length(float(grid.size.max()))}"
     notice(f"{grid.cells:,} {cells}{size}: {grid.answers:,} answers, at most {grid.memory(arm.n) / 1e6:,.0f} MB")
-    more: dict[str, Any] = {**given(tolerances), **around.read(arm), "seed": asked.seed}
-    more |= {"priority": asked.priority} if asked.priority is not None else {}
+    unchanged = {
+        name: value for name, value in given(asked).items() if name in ("resolution", "priority", "seed", "threads")
+    }
+    more: dict[str, Any] = {**given(tolerances), **around.read(arm), **unchanged, "orientations": turns, "audit": audit}
     stopped = False
     with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
         try:
-            found = reachability(
-                arm, region, resolution=asked.resolution, orientations=turns, audit=_audit(asked),
-                threads=asked.threads, executor=executor, file=asked.output, progress=step, **more,
-            )  # fmt: skip
+            found = reachability(arm, region, executor=executor, file=asked.output, progress=step, **more)
         except ReachabilityInterrupted as interrupt:
             found, stopped = interrupt.result, True
         except MapNotSaved as failure:
@@ -91,7 +89,7 @@ def reach(
     if not out.as_json:
         total = max(found.states.size, 1)
         words = {ANSWERS[key]: f"{count:,} ({figure(100 * count / total)} %)" for key, count in counts.items() if count}
-        show(facts(words | {"audit": str(found.audit)}))
+        show(words | {"audit": str(found.audit)})
     if stopped:
         raise KeyboardInterrupt
 
@@ -116,32 +114,17 @@ def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
     return np.array(vector(asked.region, "--region", 6)).reshape(2, 3)
 
 
-def _count(asked: ReachOptions) -> int:
+def _word_or_count(text: str, word: str, name: str, what: str) -> Any:
+    """Return the text if it is the word, or the whole number in it. Raises InvalidOption."""
     try:
-        return int(asked.orientations)
+        return text if text == word else int(text)
     except ValueError:
-        raise InvalidOption(f"--orientations is 'any' or a number of tool axes, not '{asked.orientations}'") from None
-
-
-def _audit(asked: ReachOptions) -> int | str:
-    try:
-        return asked.audit if asked.audit == "full" else int(asked.audit)
-    except ValueError:
-        raise InvalidOption(f"--audit is a number of noes or 'full', not '{asked.audit}'") from None
+        raise InvalidOption(f"{name} is '{word}' or a number of {what}, not '{text}'") from None
 
 
 def _draw(found: Any, arm: Any, asked: ReachOptions) -> None:
     """Print which file was written, and draw the requested pictures."""
     if asked.output is not None:
         notice(f"wrote {asked.output} ({asked.output.stat().st_size / 1e6:.1f} MB)")
-    if asked.plot is not None:
-        from ..show.plot import plot
-
-        plot(found, file=asked.plot)
-        notice(f"wrote {asked.plot}")
-    if asked.html is not None:
-        from ..show.scene import view
-
-        scene = view(arm, found, title=f"{arm.name}: what {arm.tip} reaches")
-        incomplete(scene)
-        written(scene.save(asked.html))
+    chart(asked.plot, found)
+    show_scene(arm, found, asked.html, title=f"{arm.name}: what {arm.tip} reaches")

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import InvalidOption, near_match
 from .command import argument, command, option, options
 from .options import JsonOutput
-from .output import facts, notice, progress, show, table, write_json
+from .output import notice, progress, show, table, write_json
 from .streams import uninterrupted
 
 
@@ -37,10 +37,7 @@ def reproduce(asked: ReproduceOptions) -> None:
     if paper is None:
         write_json({"papers": {name: row.summary for name, row in PAPERS.items()}}, asked.as_json)
         if not asked.as_json:
-            made = table("<name", "paper")
-            for name, row in PAPERS.items():
-                made.add_row(name, row.summary)
-            show(made)
+            show(table("<name", "paper", rows=[(name, row.summary) for name, row in PAPERS.items()]))
         return
     if paper not in PAPERS:
         raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
@@ -65,6 +62,6 @@ def reproduce(asked: ReproduceOptions) -> None:
     files = report.write(folder)
     write_json({**report.data, "files": [str(file) for file in files]}, asked.as_json)
     if not asked.as_json:
-        show(facts({"report": report.title, "written": ", ".join(file.name for file in files), "folder": str(folder)}))
+        show({"report": report.title, "written": ", ".join(file.name for file in files), "folder": str(folder)})
     if importlib.util.find_spec("matplotlib") is None:
         notice("no pictures: they need matplotlib (pip install matplotlib)")

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
-from ..files import write_table
 from ..text import plain
 from .command import command, flag, option, options
 from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
-from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
+from .output import fixed, heading, notice, number, show, table, turns, unit, write_json, write_rows
 
 
 @options()
@@ -49,32 +48,20 @@ def robots(out: ListOptions) -> None:
 
     entries = list_robots(out.everything)
     shipped = shipped_robots()
-    rows = [
-        {
-            "name": entry.name,
-            "tips": entry.tips,
-            "description": entry.description,
-            "shipped": entry.name in shipped,
-            "paper": entry.paper,
-            "path": entry.path,
-        }
-        for entry in entries
-    ]
-    write_json({"robots": rows}, out.as_json)
-    if out.csv_file is not None:
-        names = ("name", "tips", "description", "paper", "path")
-        write_table(out.csv_file, [*names], ([_cell(row[key]) for key in names] for row in rows))
-        notice(f"wrote {out.csv_file}")
+    names = ("name", "tips", "description", "paper", "path")
+    told = [{key: getattr(entry, key) for key in names} | {"shipped": entry.name in shipped} for entry in entries]
+    write_json({"robots": told}, out.as_json)
+    write_rows(out.csv_file, names, ([_cell(getattr(entry, key)) for key in names] for entry in entries))
     if out.as_json:
         return
     ours = table("<name", "<tips", "description", "paper")
     theirs = table("<name", "<tips", "<file")
-    for row in rows:
-        tips = "\n".join(row["tips"])
-        if row["shipped"]:
-            ours.add_row(row["name"], tips, row["description"], row["paper"])
+    for entry in entries:
+        tips = "\n".join(entry.tips)
+        if entry.name in shipped:
+            ours.add_row(entry.name, tips, entry.description, entry.paper)
         else:
-            theirs.add_row(row["name"], tips, row["description"].partition(": ")[2])
+            theirs.add_row(entry.name, tips, entry.description.partition(": ")[2])
     show(heading("Shipped"), ours)
     if theirs.row_count:
         show(heading("From example-robot-data"), theirs)
@@ -121,7 +108,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
     source = {"description": entry.description, "paper": entry.paper, "table": entry.table, "path": entry.path}
-    payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None, "srdf": _srdf_dict(arms[0])}
+    payload = {**rows[0], **source, "dh": dh and dh.to_dict(), "srdf": _srdf_dict(arms[0])}
     if len(rows) > 1:
         payload["arms"] = rows
     _write_joints(out.csv_file, rows)
@@ -129,8 +116,8 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     if out.as_json:
         return
     show(heading(entry.name))
-    show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
-    show(facts(_srdf_facts(arms[0])))
+    papers = "; ".join(filter(None, (entry.paper, entry.table)))
+    show({"robot": entry.description or None, "source": papers or None, "file": entry.path}, _srdf_facts(arms[0]))
     for arm in arms:
         reach = f"at most {arm.reach:.4g} m from the first joint (a bound; limits may allow less)"
         kinds = {joint: kind_of(arm, joint) for joint in arm.locked_joints}
@@ -140,23 +127,18 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
         )
         own = follower_limits(arm)
         mimic = "; ".join(_tie(arm, joint, tie, own[joint], deg) for joint, tie in arm.mimic_joints.items())
-        show(
-            "",
-            facts(
-                {
-                    "base -> tip": f"{arm.base} -> {arm.tip}",
-                    "joints": arm.n,
-                    "reach": reach,
-                    "mobility": str(arm.mobility).partition(", ")[2],
-                    "locked": locked or None,
-                    "mimic joints": mimic or None,
-                    "configurations": ", ".join(arm.named),
-                    "closed form": closed_form(arm) or None,
-                    "read as": "; ".join(arm.notes) or None,
-                }
-            ),
-        )
-        show(_joint_table(arm, deg))
+        told = {
+            "base -> tip": f"{arm.base} -> {arm.tip}",
+            "joints": arm.n,
+            "reach": reach,
+            "mobility": str(arm.mobility).partition(", ")[2],
+            "locked": locked or None,
+            "mimic joints": mimic or None,
+            "configurations": ", ".join(arm.named),
+            "closed form": closed_form(arm) or None,
+            "read as": "; ".join(arm.notes) or None,
+        }
+        show("", told, _joint_table(arm, deg))
     if dh:
         show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
 
@@ -179,9 +161,7 @@ def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
     """Write the joints of each tip as CSV, in metres and radians; a joint that several tips share has a row for each."""
     if file is not None:
         joints = [{"tip": row["tip"], **joint} for row in rows for joint in plain(row["joints"])]
-        cells = (["" if value is None else value for value in joint.values()] for joint in joints)
-        write_table(file, list(joints[0]), cells)
-        notice(f"wrote {file}")
+        write_rows(file, joints[0], (["" if value is None else value for value in joint.values()] for joint in joints))
 
 
 def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
@@ -192,14 +172,9 @@ def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
     write_json({**source, "tips": [arm.tip for arm in arms], "arms": rows}, out.as_json)
     if out.as_json:
         return
-    made = table("<tip", ">joints", ">reach at\nmost [m]", "moved by")
-    for arm in arms:
-        made.add_row(arm.tip, str(arm.n), f"{arm.reach:.4g}", ", ".join(arm.joint_names))
-    show(heading(entry.name), facts({"file": entry.path, "tips": f"{len(arms)}; --tip NAME shows one"}), made)
-
-
-def _source(paper: str, source_table: str) -> str | None:
-    return "; ".join(part for part in (paper, source_table) if part) or None
+    cells = [(arm.tip, str(arm.n), f"{arm.reach:.4g}", ", ".join(arm.joint_names)) for arm in arms]
+    made = table("<tip", ">joints", ">reach at\nmost [m]", "moved by", rows=cells)
+    show(heading(entry.name), {"file": entry.path, "tips": f"{len(arms)}; --tip NAME shows one"}, made)
 
 
 def describe(robot: Any) -> dict[str, Any]:
@@ -219,13 +194,8 @@ def describe(robot: Any) -> dict[str, Any]:
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
         "mimic_joints": {
-            joint: {
-                **robot.mimic_joints[joint]._asdict(),
-                "kind": kind_of(robot, joint),
-                "lower": lower,
-                "upper": upper,
-            }
-            for joint, (lower, upper) in follower_limits(robot).items()
+            joint: robot.mimic_joints[joint]._asdict() | {"kind": kind_of(robot, joint), "lower": low, "upper": high}
+            for joint, (low, high) in follower_limits(robot).items()
         },
         "named": robot.named,
         "closed_form": closed_form(robot) or None,
@@ -275,11 +245,6 @@ def _joint_table(robot: Any, deg: bool) -> Any:
         columns = (robot.lower, robot.upper, robot.home, robot.velocity_limits)
         made.add_row(str(i + 1), name, kind, *(number(float(x[i]), kind, deg) for x in columns), unit(kind, deg))
     return made
-
-
-def _dh_dict(dh: Any) -> dict[str, Any]:
-    rows = [{key: getattr(row, key) for key in ("name", "type", "theta", "d", "a", "alpha")} for row in dh.rows]
-    return {"convention": dh.convention, "rows": rows, "base": dh.base, "tool": dh.tool}
 
 
 def _dh_table(dh: Any, deg: bool) -> Any:
@@ -338,17 +303,14 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
         f"{math.degrees(x) if deg and turns(kind) else float(x):.7g} {unit(kind, deg)}"
         for x, kind in zip(values, arm.joint_kinds, strict=True)
     ]
-    show(
-        facts(
-            {
-                "robot": f"{arm.name}, {arm.base} -> {arm.tip}",
-                "q" if robot.q is not None else "q (home)": ", ".join(shown),
-                "position": f"({_numbers(T.translation, 7)}) m",
-                "roll, pitch, yaw": f"({_numbers(angles, 4 if deg else 6)}) {'deg' if deg else 'rad'}",
-                "quaternion xyzw": f"({_numbers(quat, 7)})",
-            }
-        )
-    )
+    told = {
+        "robot": f"{arm.name}, {arm.base} -> {arm.tip}",
+        "q" if robot.q is not None else "q (home)": ", ".join(shown),
+        "position": f"({_numbers(T.translation, 7)}) m",
+        "roll, pitch, yaw": f"({_numbers(angles, 4 if deg else 6)}) {'deg' if deg else 'rad'}",
+        "quaternion xyzw": f"({_numbers(quat, 7)})",
+    }
+    show(told)
 
 
 def _numbers(values: Any, digits: int) -> str:

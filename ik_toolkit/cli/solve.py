@@ -7,8 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..files import write_table
-from ..text import angle, duration, length, parameter, vector
+from ..text import angle, duration, length, vector
 from . import first_use
 from .command import PLOTS, command, flag, option, options, same
 from .options import (
@@ -19,14 +18,14 @@ from .options import (
     SceneOutput,
     TableOutput,
     ToleranceOptions,
-    assignments,
     given,
     joint_vector,
     kind_of,
+    parameters,
     solver_named,
     solvers_like,
 )
-from .output import facts, fixed, notice, number, show, table, unit, write_json
+from .output import fixed, notice, number, show, table, unit, write_json, write_rows
 from .pictures import draw
 from .target import CountOptions, TargetOptions, in_base, relations
 
@@ -67,7 +66,7 @@ class SolverOptions:
         if self.solver == "auto" and not self.param and not self.preset:
             return self.solver
         asked = solver_named(self.solver)
-        values = {key: parameter(key, text) for key, text in assignments(self.param, "-p").items()}
+        values = parameters(self.param)
         row = find_row(closed_form_with(robot, values) or GENERAL if asked == "auto" else asked)
         if self.preset is None:
             return make_rule(row, values) if values else asked
@@ -180,7 +179,7 @@ def solve(
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
     """
     _refuse_contradictions(target, wish, many, out)
-    if many.file is None and (file.length_unit is not None or file.euler is not None):
+    if many.file is None and given(file):
         raise InvalidOption("--length-unit and --euler go with --targets FILE")
     deg = robot.deg
     aim = target.read(deg) if many.file is None and target.from_q is None else None
@@ -253,12 +252,9 @@ def _solve_one(
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)
     explained = result.explain() if explain else None
-    explanation = {} if explained is None else {"explanation": explained.to_dict()}
-    write_json(
-        {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options), **explanation},
-        out.as_json,
-        out.output,
-    )
+    told = {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options)}
+    told |= {} if explained is None else {"explanation": explained.to_dict()}
+    write_json(told, out.as_json, out.output)
     if not out.as_json:
         _show(result, target, options, deg)
         if explained is not None:
@@ -308,15 +304,13 @@ def _solve_all(
 
     found = solve_all(arm, target, rule, start, **options)
     write_json({**found.to_dict(), **_asked(arm, target, options)}, out.as_json, out.output)
-    if out.csv_file is not None:
-        rows = ([*q.tolist(), float(distance)] for q, distance in zip(found, found.distance, strict=True))
-        write_table(out.csv_file, [*arm.joint_names, "distance"], rows)
-        notice(f"wrote {out.csv_file}")
+    rows = ([*q.tolist(), float(distance)] for q, distance in zip(found, found.distance, strict=True))
+    write_rows(out.csv_file, [*arm.joint_names, "distance"], rows)
     if not out.as_json:
         show(*_solutions(found, deg))
         complete = "these are all" if found.complete else "there may be more"
         told = {f"family {k}": family.message for k, family in enumerate(found.families, 1)}
-        show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message, **told}))
+        show({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message, **told})
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)
@@ -366,25 +360,16 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
         relative = options.get("relative_to") or {}
         tips = table("<tip", "<target in", ">position\nerror", ">orientation\nerror")
         for tip, (position, turned) in left.items():
-            given = (relative.get(tip, robot.base), length(position), _angle(turned, deg))
-            tips.add_row(tip, *(given if tip in target else ("no target", "free", "free")))
+            asked = (relative.get(tip, robot.base), length(position), _angle(turned, deg))
+            tips.add_row(tip, *(asked if tip in target else ("no target", "free", "free")))
         show(tips)
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
     position, turned = left[robot.tips[0]]
     errors = {"position error": length(position), "orientation error": _angle(turned)}
     if result.success and len(result.level_errors) > 1:
         errors["in short"] = result.message
-    status = {"status": f"{result.status.name}, solver {result.solver}"}
-    show(
-        facts(
-            {
-                **status,
-                **({} if robot.by_tip else errors),
-                "iterations": counts,
-                "computed in": duration(result.elapsed),
-            }
-        )
-    )
+    status = {"status": f"{result.status.name}, solver {result.solver}"} | ({} if robot.by_tip else errors)
+    show(status | {"iterations": counts, "computed in": duration(result.elapsed)})
 
 
 def _angle(value: float | None, deg: bool | None = None) -> str:

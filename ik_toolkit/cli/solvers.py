@@ -5,10 +5,11 @@ import re
 from typing import Any
 
 from ..errors import InvalidOption
-from ..files import write_table
 from .command import argument, command, options
 from .options import TableOutput, solver_named, solvers_like
-from .output import facts, heading, notice, show, table, write_json
+from .output import heading, show, table, write_json, write_rows
+
+TOLD = ("name", "summary", "handles", "citation")
 
 
 @options()
@@ -33,17 +34,11 @@ def solvers(asked: SolversOptions) -> None:
             raise InvalidOption("--csv writes the list of solvers; leave out the name")
         _one(find_row(solver_named(asked.name)), asked.as_json)
         return
-    rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in list_rows()]
+    rows = [{key: getattr(row, key) for key in TOLD} for row in list_rows()]
     write_json({"solvers": rows}, asked.as_json)
-    if asked.csv_file is not None:
-        write_table(asked.csv_file, list(rows[0]), (row.values() for row in rows))
-        notice(f"wrote {asked.csv_file}")
-    if asked.as_json:
-        return
-    made = table("<name", "how", "handles", "source")
-    for row in rows:
-        made.add_row(*row.values())
-    show(made)
+    write_rows(asked.csv_file, rows[0], (row.values() for row in rows))
+    if not asked.as_json:
+        show(table("<name", "how", "handles", "source", rows=[row.values() for row in rows]))
 
 
 def _one(row: Any, as_json: bool) -> None:
@@ -56,31 +51,19 @@ def _one(row: Any, as_json: bool) -> None:
     length = row.length()
     options |= {"max_iterations": length.iterations, "restarts": length.attempts - 1}
     text = inspect.getdoc(cls) or ""
-    payload = {
-        "name": row.name,
-        "summary": row.summary,
-        "handles": row.handles,
-        "citation": row.citation,
-        "description": text,
-        "parameters": parameters,
-        "options": options,
-    }
-    write_json(payload, as_json)
+    told = {"description": text, "parameters": parameters, "options": options}
+    write_json({key: getattr(row, key) for key in TOLD} | told, as_json)
     if as_json:
         return
     from rich.text import Text
 
-    show(heading(row.name), facts({"how": row.summary, "handles": row.handles, "source": row.citation}))
+    show(heading(row.name), {"how": row.summary, "handles": row.handles, "source": row.citation})
     show("", Text(re.sub(r"(?<!\n)\n(?: {8} *|(?=\S))", " ", text)), "")
     if parameters:
-        made = table("<parameter", ">default")
-        for parameter in parameters:
-            made.add_row(parameter["name"], _shown(parameter["default"]))
-        show(heading("Parameters (-p NAME=VALUE)"), made)
-    made = table("<option", ">default")
-    for key, default in options.items():
-        made.add_row(key, _shown(default))
-    show(heading("Options of every solver, with this solver's defaults"), made)
+        rows = [(one["name"], _shown(one["default"])) for one in parameters]
+        show(heading("Parameters (-p NAME=VALUE)"), table("<parameter", ">default", rows=rows))
+    rows = [(key, _shown(default)) for key, default in options.items()]
+    show(heading("Options of every solver, with this solver's defaults"), table("<option", ">default", rows=rows))
 
 
 def _shown(value: Any) -> str:

@@ -9,12 +9,12 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..text import angle, duration, equations, figure, length, parameter
+from ..text import angle, duration, equations, figure, length
 from .command import command, flag, option, options
-from .gains import GAINS, along_the_path, judged
-from .options import CollisionOptions, RobotOptions, SceneOutput, assignments, joint_vector
-from .output import facts, notice, partial, progress, show, table, turns, unit, write_json
-from .pictures import present
+from .gains import along_the_path, judged
+from .options import CollisionOptions, RobotOptions, SceneOutput, above_zero, joint_vector, parameters
+from .output import keep_partial, notice, progress, show, table, turns, unit, write_json
+from .pictures import chart, show_scene
 from .streams import uninterrupted
 from .target import CountOptions
 from .track_path import Asked, TrackOptions, advice, asked_path
@@ -74,8 +74,7 @@ def track(
     ik track hydrolek_7w --path line --length 0.2 --on-limit leave
     ik track hydrolek_7w --path circle --html run.html
     """
-    if not (asked.rate > 0.0 and asked.rate < float("inf")):
-        raise InvalidOption(f"--rate must be positive, not {asked.rate}")
+    above_zero(asked.rate, "--rate")
     what = counts.read(robot.deg, counts.relative)
     arm = robot.load(robot.choose_tips(), asked.limits)
     q = joint_vector(arm, asked.q0, "--q0", robot.deg)
@@ -85,12 +84,12 @@ def track(
         return _run(arm, asked, path, own, vars(tolerances) | what | collisions.read(arm), quiet)
 
     path, result = _follow(arm, asked, q, what, tolerances.position_tolerance, run)
-    _write(result, arm, asked)
-    if out.html is not None or out.live:
-        from ..show.scene import view
-
-        around = collisions.read(arm).get("avoid_collisions")
-        present(view(arm, result, obstacles=None if isinstance(around, bool | None) else around), out.html, out.live)
+    if asked.output is not None:
+        with uninterrupted():
+            notice(f"wrote {result.save(asked.output)}")
+    chart(asked.plot, result, arm)
+    around = collisions.read(arm).get("avoid_collisions")
+    show_scene(arm, result, out.html, out.live, obstacles=None if isinstance(around, bool | None) else around)
     stopped, tried = None, []
     try:
         if result.reach is not None:
@@ -129,23 +128,8 @@ def _follow(
             return path, run(path)
     except TrackInterrupted as stop:
         if asked.output is not None:
-            with uninterrupted():
-                part, kept = stop.result, partial(asked.output)
-                part.save(asked.output.with_name(f"{asked.output.stem}.part{asked.output.suffix}")).replace(kept)
-                notice(f"partial: {part.message.partition('; ')[0].rstrip('.')}, in {kept}")
+            keep_partial(stop.result, asked.output, f"{stop.result.message.partition('; ')[0].rstrip('.')},")
         raise
-
-
-def _write(result: Any, arm: Any, asked: TrackOptions) -> None:
-    """Write the requested files of a run."""
-    if asked.output is not None:
-        with uninterrupted():
-            notice(f"wrote {result.save(asked.output)}")
-    if asked.plot is not None:
-        from ..show.plot import plot
-
-        plot(result, arm, file=asked.plot)
-        notice(f"wrote {asked.plot}")
 
 
 def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[str, Any], quiet: bool) -> Any:
@@ -158,30 +142,24 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
     seconds = max(one.duration for one in references)
     if (steps := asked.rate * seconds) > MAX_STEPS:
         raise InvalidOption(f"--rate {asked.rate:g} over {seconds:g} s is {steps:.3g} steps; at most {MAX_STEPS:g}")
-    fixed = {
+    fixed = {name: getattr(asked, name) for name in ("method", "limits", "settle", "on_limit", "max_stretch")} | more
+    fixed |= {
         "reference": path.reference,
-        "method": asked.method,
-        "dt": 1.0 / asked.rate,
         "q0": path.q0,
-        "limits": asked.limits,
+        "dt": 1.0 / asked.rate,
         "acceleration_limits": asked.acceleration,
-        "settle": asked.settle,
-        "on_limit": asked.on_limit,
-        "max_stretch": asked.max_stretch,
-        **more,
     }
     if fixed["orientation_tolerance"] is None:
         fixed["orientation_tolerance"] = ORIENTATION_TOLERANCE
-    params = {name: parameter(name, text) for name, text in assignments(asked.param, "-p").items()}
+    params = parameters(asked.param)
     if twice := params.keys() & (fixed.keys() | own):
         raise InvalidOption(
             f"-p cannot set {', '.join(sorted(twice))}: the command has options for that, see its --help"
         )
-    gains = {name: getattr(asked, name) for name in GAINS if getattr(asked, name) is not None}
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: None if quiet else notice(f"warning: {message}")
-        return follow(arm, **fixed, **gains, **params)
+        return follow(arm, **fixed, **asked.gains, **params)
 
 
 def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
@@ -190,18 +168,14 @@ def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
     gains = equations(result.options)
     steps = len(result.t) - 1
     tried = f", {duration(result.searched)} of trying other runs" if result.searched > result.elapsed else ""
-    show(
-        facts(
-            {
-                "robot": f"{result.robot} ({arm.base} -> {' and '.join(arm.tips)})",
-                "path": f"{path.words} (chosen)" if path.words else path.shown,
-                "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {duration(result.dt, 5)}",
-                "stability": None if check is None else judged(check),
-                "status": f"{result.status.name}: {result.message}",
-                "computed in": f"{duration(result.elapsed)} of stepping{tried}",
-            }
-        )
-    )
+    show({
+        "robot": f"{result.robot} ({arm.base} -> {' and '.join(arm.tips)})",
+        "path": f"{path.words} (chosen)" if path.words else path.shown,
+        "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {duration(result.dt, 5)}",
+        "stability": None if check is None else judged(check),
+        "status": f"{result.status.name}: {result.message}",
+        "computed in": f"{duration(result.elapsed)} of stepping{tried}",
+    })  # fmt: skip
     errors = table("<error", ">max", ">RMS", ">final", ">max,\n2nd half", ">between\nsamples")
     for name, words in (("position", length), ("orientation", functools.partial(angle, deg=deg))):
         if name in figures:

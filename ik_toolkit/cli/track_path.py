@@ -71,9 +71,14 @@ class PathOptions:
         given, usual = (self.length, LENGTH) if self.shape == "line" else (self.radius, RADIUS)
         return usual if given is None else given
 
-    def rest(self, seconds: float | None = DURATION) -> dict[str, Any]:
-        """Return duration [s] (default: `seconds`), speed law and number of turns."""
-        duration = seconds if self.duration is None else self.duration
+    @property
+    def gains(self) -> dict[str, float]:
+        """Return the gains that are given, by name."""
+        return {name: gain for name, gain in vars(self).items() if name in ("kappa", "kp", "kd") and gain is not None}
+
+    def rest(self) -> dict[str, Any]:
+        """Return duration [s], speed law and number of turns."""
+        duration = DURATION if self.duration is None else self.duration
         return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
 
     def read_axis(self) -> Any:
@@ -185,24 +190,12 @@ def _drawn(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any]) -> Any:
         if arm.by_tip:
             raise InvalidOption("--start and --end are for one tip; choose it with --tip")
         return _from_to(arm.fk(arm.home if q is None else q).homogeneous, asked)
-    relative = counts.get("relative_to") or {}
-    start = arm.home if q is None else q
-    return paths(
-        arm,
-        start,
-        asked.shape or "circle",
-        asked.size,
-        asked.read_axis(),
-        asked.position_only,
-        relative,
-        **asked.rest(),
-    )
+    start, drawn = arm.home if q is None else q, (asked.shape or "circle", asked.size, asked.read_axis())
+    return paths(arm, start, *drawn, asked.position_only, counts.get("relative_to") or {}, **asked.rest())
 
 
 def _from_to(T: Any, asked: PathOptions) -> Any:
     """Return the path from --start, or to --end, of a tip whose pose is T."""
-    import numpy as np
-
     from ..motion import shapes
     from ..servo.default_path import draw
 
@@ -211,17 +204,11 @@ def _from_to(T: Any, asked: PathOptions) -> Any:
     at: Any = T[:3, 3].copy() if asked.position_only else T
     if asked.shape != "line" or asked.end is None:
         return draw(asked.shape or "circle", at, asked.size, asked.read_axis(), **asked.rest())
-    end = np.array(vector(asked.end, "--end", 3))
-    T1 = T.copy()
-    T1[:3, 3] = end
-    seconds, law = asked.rest()["duration"], asked.law or "minimum-jerk"
-    return shapes.line(
-        at,
-        end if asked.position_only else T1,
-        duration=seconds,
-        law=law,
-        rounds=whole(asked.turns or 0.0, "rounds of a line", 0),
-    )
+    end = T.copy()
+    end[:3, 3] = vector(asked.end, "--end", 3)
+    rounds = whole(asked.turns or 0.0, "rounds of a line", 0)
+    timed = {"duration": asked.rest()["duration"], "law": asked.law or "minimum-jerk", "rounds": rounds}
+    return shapes.line(at, end[:3, 3] if asked.position_only else end, **timed)
 
 
 def advice(

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
-from ..files import write_table
 from .command import PLOTS, argument, command, flag, option, options, same, writable
 from .options import TableOutput, WholeRobot, solvers_like
-from .output import facts, notice, partial, progress, show, write_json
+from .output import notice, partial, progress, show, write_json, write_rows
+from .pictures import chart
 from .streams import uninterrupted
 from .workspace import WorkspaceOptions
 
@@ -96,10 +96,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
     with uninterrupted():
         result.save(preset)
         _write_csv(out.csv_file, result)
-    if asked.plot is not None and not result.interrupted:
-        from ..show.plot import plot
-
-        plot(result, file=asked.plot)
+    chart(None if result.interrupted else asked.plot, result)
     write_json({**result.to_dict(), "preset": str(preset)}, out.as_json)
     if not out.as_json:
         _show(result, preset)
@@ -112,15 +109,12 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
 
 def _write_csv(file: Path | None, result: Any) -> None:
     """Write the scores as CSV, if a file is given: a row for each parameter set, for the tuned one also on the training targets."""
-    if file is None:
-        return
-    file = partial(file) if result.interrupted else file
+    file = partial(file) if result.interrupted and file is not None else file
     scores = {f"{name}, held out": one for name, one in result.scores.items()} | {"tuned, training": result.train}
     rows = (
         (name, one.total, sum(one.successes), one.share, *one.interval, one.iterations) for name, one in scores.items()
     )
-    write_table(file, ["rule", "targets", "solved", "share", "low", "high", "iterations"], rows)
-    notice(f"wrote {file}")
+    write_rows(file, ["rule", "targets", "solved", "share", "low", "high", "iterations"], rows)
 
 
 @contextmanager
@@ -145,16 +139,12 @@ def _record(file: Path, resume: bool) -> Iterator[None]:
 
 
 def _show(result: Any, preset: Path) -> None:
-    show(
-        facts(
-            {
-                "default, held out": result.scores["default"],
-                "start, held out": result.before,
-                "tuned, training": result.train,
-                "tuned, held out": result.held_out,
-                "verdict": result.verdict,
-                "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
-                "preset": preset,
-            }
-        )
-    )
+    show({
+        "default, held out": result.scores["default"],
+        "start, held out": result.before,
+        "tuned, training": result.train,
+        "tuned, held out": result.held_out,
+        "verdict": result.verdict,
+        "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
+        "preset": preset,
+    })  # fmt: skip

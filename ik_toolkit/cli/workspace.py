@@ -8,8 +8,9 @@ from typing import Any
 from ..errors import InvalidOption
 from ..text import length
 from .command import PLOTS, command, flag, option, options
-from .options import ObjectOutput, WholeRobot, joint_vector, solvers_like
-from .output import facts, heading, notice, partial, progress, show, table, write_json
+from .options import ObjectOutput, WholeRobot, given, joint_vector, solvers_like
+from .output import heading, notice, partial, progress, show, table, write_json
+from .pictures import chart, show_scene
 
 LISTED = 10
 
@@ -60,30 +61,23 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
     from ..study.workspace import workspace as study
 
     chosen = _chosen(asked.solver, asked.preset)
-    options = {"max_iterations": asked.max_iterations, "restarts": asked.restarts, "tolerance": asked.tolerance}
+    unchanged = ("targets", "how", "seed", "tolerance", "max_iterations", "restarts")
+    options = {name: value for name, value in given(asked).items() if name in unchanged}
     stopped = False
     start = joint_vector(arm, asked.q0, "--q0", robot.deg)
-
     with _workers(asked.workers) as executor, progress("solving", asked.targets) as step:
         try:
             found = study(
-                arm,
-                chosen,
-                tip=arm.tips[0],
-                targets=asked.targets,
-                how=asked.how,
-                position_only=not asked.pose,
-                seed=asked.seed,
-                q0=start,
-                file=asked.csv,
-                executor=executor,
-                progress=step,
-                **{key: value for key, value in options.items() if value is not None},
-            )
+                arm, chosen, tip=arm.tips[0], position_only=not asked.pose, q0=start, file=asked.csv,
+                executor=executor, progress=step, **options,
+            )  # fmt: skip
         except WorkspaceInterrupted as interrupt:
             found, stopped = interrupt.result, True
     if not stopped:
-        _draw(found, arm, asked.plot, asked.html)
+        first = next(iter(found.solved))
+        title = f"{arm.name}: targets of {found.tip}, {first}"
+        chart(asked.plot, found, arm)
+        show_scene(arm, None, asked.html, cloud=(found.points, found.solved[first]), title=title)
     else:
         done = next(iter(found.outcomes.values())).targets
         kept = f", in {partial(asked.csv)}" if asked.csv is not None else ""
@@ -93,23 +87,6 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
         _show(found)
     if stopped:
         raise KeyboardInterrupt
-
-
-def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
-    """Draw the requested pictures of a finished study."""
-    if plot is not None:
-        from ..show.plot import plot as draw
-
-        draw(found, arm, file=plot)
-    if html is not None:
-        from ..show.scene import view
-        from .pictures import incomplete
-
-        first = next(iter(found.solved))
-        title = f"{arm.name}: targets of {found.tip}, {first}"
-        scene = view(arm, cloud=(found.points, found.solved[first]), title=title)
-        incomplete(scene)
-        scene.save(html)
 
 
 def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any]:
@@ -138,7 +115,7 @@ def _workers(count: int | None) -> Any:
 def _show(found: Any) -> None:
     box = " by ".join(f"{a:.3f}..{b:.3f}" for a, b in zip(found.low, found.high, strict=True))
     near, far = found.radius
-    show(facts({"reach, sampled": f"x, y, z {box} m", "from the base": f"{near:.3f} to {far:.3f} m"}))
+    show({"reach, sampled": f"x, y, z {box} m", "from the base": f"{near:.3f} to {far:.3f} m"})
     made = table("<solver", "<solved", "<per 1000", ">steps", ">worst", "<not solved")
     for name, outcome in found.outcomes.items():
         data = outcome.to_dict()
@@ -156,8 +133,6 @@ def _show(found: Any) -> None:
     show(made)
     for name, rows in found.failures.items():
         if len(rows):
-            made = table(">x (m)", ">y (m)", ">z (m)", ">error (mm)")
-            show(heading(f"{name}: first failures"))
-            for x, y, z, error in rows[:LISTED].tolist():
-                made.add_row(f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{1000 * error:.3f}")
-            show(made)
+            shown = [(*(f"{x:.4f}" for x in at), f"{1000 * error:.3f}") for *at, error in rows[:LISTED].tolist()]
+            made = table(">x (m)", ">y (m)", ">z (m)", ">error (mm)", rows=shown)
+            show(heading(f"{name}: first failures"), made)

@@ -12,6 +12,8 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, Portable
 from ..files import PARTIAL, write_whole
+from ..robot.formats.dh import DHTable, read_dh_table
+from ..robot.library import shipped_robots
 from ..style import PRINTED
 from ..text import plain
 
@@ -40,7 +42,7 @@ class Report:
         self.title = title
         self.data: dict[str, Any] = {"paper": name, "title": title}
         self._parts: list[str] = [f"# {title}"]
-        self._figures: list[tuple[str, Callable[[Any], Any]]] = []
+        self._figures: list[tuple[str, Callable[..., Any], tuple[Any, ...]]] = []
 
     def __enter__(self) -> Self:
         """Return the report, to which the block adds parts."""
@@ -69,14 +71,18 @@ class Report:
         lines += ["| " + " | ".join(cell(x, least) for x in row) + " |" for row in rows]
         self._parts.append("\n".join(lines))
 
+    def records(self, key: str, rows: Sequence[dict[str, Any]], least: float = 0.0) -> None:
+        """Add a table whose rows are given as values by column."""
+        self.table(key, [*rows[0]], [[*row.values()] for row in rows], least)
+
     def number(self, key: str, value: Any) -> Any:
         """Store a number under a key of `data` and return it."""
         self.data[key] = value
         return value
 
-    def figure(self, file: str, caption: str, draw: Callable[[Any], Any]) -> None:
-        """Add a figure: `draw(plt)` returns the matplotlib figure; it is called only when figures are written."""
-        self._figures.append((file, draw))
+    def figure(self, file: str, caption: str, draw: Callable[..., Any], *arguments: Any) -> None:
+        """Add a figure: `draw(plt, *arguments)` returns the matplotlib figure; it is called only when figures are written."""
+        self._figures.append((file, draw, arguments))
         self._parts.append(f"![{caption}]({file})\n\n*{caption}*")
 
     def markdown(self) -> str:
@@ -97,37 +103,36 @@ class Report:
             MissingExtra: pictures is True and matplotlib is not installed.
         """
         folder = Path(folder)
-        if pictures is None:
-            pictures = importlib.util.find_spec("matplotlib") is not None
-        elif pictures and importlib.util.find_spec("matplotlib") is None:
+        drawable = importlib.util.find_spec("matplotlib") is not None
+        if pictures and not drawable:
             raise MissingExtra("matplotlib", "plots")
+        pictures = drawable if pictures is None else pictures
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidOption(f"cannot make the folder '{folder}': {error.strerror}") from None
-        files = [folder / "report.md", folder / "report.json"]
-        text = self.markdown()
-        if not pictures:
-            text += "\nThe pictures were left out: they need matplotlib (`pip install matplotlib`).\n"
-        write_whole(files[0], text)
-        write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
+        note = "" if pictures else "The pictures were left out: they need matplotlib (`pip install matplotlib`)."
+        files = self._write(folder, "", note)
         if pictures:
             # If pyplot is already loaded, as in a notebook, its backend is kept.
             if "matplotlib.pyplot" not in sys.modules:
                 importlib.import_module("matplotlib").use("Agg")
             from ..show.plots import drawing, save
 
-            for file, draw in self._figures:
+            for file, draw, arguments in self._figures:
                 with drawing(PRINTED) as plt:
-                    figure = draw(plt)
+                    figure = draw(plt, *arguments)
                     figure.set_size_inches(*(figure.get_size_inches() * min(1.0, WIDEST / figure.get_figwidth())))
                     files.append(save(figure, folder / file))
         return files
 
     def write_partial(self, folder: str | Path) -> list[Path]:
         """Write an unfinished report to report.md.partial and report.json.partial, without figures. Returns their paths."""
-        files = [Path(folder) / f"{name}{PARTIAL}" for name in ("report.md", "report.json")]
-        write_whole(files[0], f"{self.markdown()}\nThe report was interrupted here.\n")
+        return self._write(Path(folder), PARTIAL, "The report was interrupted here.")
+
+    def _write(self, folder: Path, suffix: str, note: str) -> list[Path]:
+        files = [folder / f"{name}{suffix}" for name in ("report.md", "report.json")]
+        write_whole(files[0], self.markdown() + (f"\n{note}\n" if note else ""))
         write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
         return files
 
@@ -141,3 +146,10 @@ def cell(value: Any, least: float = 0.0) -> str:
     if isinstance(value, float | np.floating):
         return "-" if np.isnan(value) else f"under {least:.0e}" if 0.0 < abs(value) < least else f"{value:.5g}"
     return str(value).replace("|", "\\|").replace("\n", " ")
+
+
+def shipped_table(name: str) -> DHTable:
+    """Return the D-H table that a shipped robot is made from."""
+    file = shipped_robots()[name].dh_file
+    assert file is not None
+    return read_dh_table(file)

@@ -85,17 +85,8 @@ def of_trajectory(trajectory: Any) -> ShownMotion:
         f"t = {t:.2f} s, {f'pose {place:.1f}' if place == place else 'changing to another branch'}{_much(x, 'm/s')}"
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
     ]
-    lines = (trajectory.message,)
-    return ShownMotion(
-        trajectory.q,
-        trajectory.t,
-        labels,
-        values,
-        "tip speed",
-        "m/s",
-        lines=lines,
-        collision=trajectory.collision,
-    )
+    said = {"lines": (trajectory.message,), "collision": trajectory.collision}
+    return ShownMotion(trajectory.q, trajectory.t, labels, values, "tip speed", "m/s", **said)
 
 
 def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
@@ -302,9 +293,8 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
     rows = thin_rows(made["count"], most)
     frames, seen = [], copy.copy(window)
     for row in rows.tolist():
-        moved = {
-            name.removeprefix(ROOT): np.vstack([T, LAST]) for name, T in zip(made["paths"], poses[row], strict=True)
-        }
+        there = zip(made["paths"], poses[row], strict=True)
+        moved = {path.removeprefix(ROOT): np.vstack([T, LAST]) for path, T in there}
         seen.transforms = window.transforms | moved
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
@@ -331,8 +321,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         raise
     except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
-    missing = [joint for joint in robot.joint_names if joint not in names]
-    if missing:
+    if missing := [joint for joint in robot.joint_names if joint not in names]:
         raise InvalidConfiguration(
             f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
         )
@@ -341,10 +330,8 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     if not keep.any():
         raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
     if not keep.all():
-        count = int((~keep).sum())
-        logging.getLogger("ik_toolkit").warning(
-            "'%s': %d of %d rows lack joint values and are left out", path.name, count, len(Q)
-        )
+        what = "'%s': %d of %d rows lack joint values and are left out"
+        logging.getLogger("ik_toolkit").warning(what, path.name, int((~keep).sum()), len(Q))
     return None if t is None else t[keep], Q[keep]
 
 
@@ -377,9 +364,8 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
         rows = dict((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
     if len(rows) < 2:
         found = "it has a header and no rows below it" if rows else "it has no rows"
-        raise ValueError(
-            f"{found}; the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
-        )
+        form = "the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
+        raise ValueError(f"{found}; {form}")
     first, *lines = rows
     head = [without_mark(name) for name in rows[first]]
     for k in lines:

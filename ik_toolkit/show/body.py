@@ -59,10 +59,8 @@ def chain_points(arm: Any) -> list[ChainPoint]:
     base, tip = (model.frames[i] for i in arm._ids)
     points = [ChainPoint(base.parentJoint, base.placement.translation)]
     for count, joint in enumerate(path.joints):
-        ends = (
-            ChainPoint(model.parents[joint], model.jointPlacements[joint].translation),
-            ChainPoint(joint, np.zeros(3)),
-        )
+        foot = ChainPoint(model.parents[joint], model.jointPlacements[joint].translation)
+        ends = foot, ChainPoint(joint, np.zeros(3))
         points += ends[::-1] if count < path.up else ends
     return [*points, ChainPoint(tip.parentJoint, (tip.placement * arm.tool).translation)]
 
@@ -149,12 +147,8 @@ class Body:
 
     def tips(self, q: Any) -> np.ndarray:
         """Return the poses (tips, 4, 4) [m] of the tips in the world at q (n,) [rad or m]."""
-        return np.array(
-            [
-                self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous
-                for arm, at in zip(self.arms, self.robot.places, strict=True)
-            ]
-        )
+        arms = zip(self.arms, self.robot.places, strict=True)
+        return np.array([self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous for arm, at in arms])
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
         """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
@@ -205,12 +199,9 @@ def _read(robot: Any) -> tuple[list[BodyPart], str]:
     pieces = [_pieces(shape) for shape in shapes]
     # A mesh that has only points and lines is left out. Only the placements of the geometry model are used.
     drawn = [(shape, own) for shape, own in zip(shapes, pieces, strict=True) if sum(len(one.faces) for one in own)]
-    placed = geometry_model(
-        robot.model, [shape for shape, _ in drawn], [coal.Sphere(1e-3)] * len(drawn)
-    ).geometryObjects
-    parts = [
-        BodyPart(shape.name, own, at.parentJoint, at.placement) for (shape, own), at in zip(drawn, placed, strict=True)
-    ]
+    placed = geometry_model(robot.model, [shape for shape, _ in drawn], [coal.Sphere(1e-3)] * len(drawn))
+    pairs = zip(drawn, placed.geometryObjects, strict=True)
+    parts = [BodyPart(shape.name, own, at.parentJoint, at.placement) for (shape, own), at in pairs]
     return parts, f"not read: {problems_sentence(problems)}" if problems else ""
 
 
@@ -220,13 +211,9 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
         own = shape.color is None and Path(shape.file).suffix.lower() in COLORED
+        sizes = np.array(shape.sizes)
         return tuple(
-            DrawnShape(
-                np.asarray(vertices * np.array(shape.sizes), dtype=np.float32),
-                faces,
-                c if own and c else color,
-                opacity,
-            )
+            DrawnShape((vertices * sizes).astype(np.float32), faces, c if own and c else color, opacity)
             for vertices, faces, c in _smoothed(shape.mesh)
         )
     return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)

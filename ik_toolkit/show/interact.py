@@ -29,9 +29,7 @@ class Interaction:
         scene.on_drag(self.follow)
         scene.look()
         eye, to, *rest = scene.window.about["camera"]
-        away = [
-            b + 1.5 * (a - b) for a, b in zip(eye, to, strict=True)
-        ]  # move the camera away, so that there is room to drag
+        away = [b + 1.5 * (a - b) for a, b in zip(eye, to, strict=True)]  # there must be room to drag
         scene.window.say(camera=[away, to, *rest])
 
     def follow(self, target: Any) -> None:
@@ -98,10 +96,7 @@ def _curve(label: str, result: Result, color: str) -> tuple[str, str, list[tuple
     """Return label, colour, position errors [m] over the iterations of the attempt that found the result, and a summary."""
     errors = iterates(result)[1] if result.history else np.array([result.position_error])
     rows = thin_rows(len(errors), 200)
-    found = (
-        "converged"
-        if result.success
-        else f"{result.status.name.lower().replace('_', ' ')}, {length(result.position_error)} left"
-    )
+    left = "" if result.success else f", {length(result.position_error)} left"
+    found = result.status.name.lower().replace("_", " ") + left
     words = f"{found}, {result.iterations} iterations, {duration(result.elapsed, 2)}"
     return label, color, [(k, round(x, 10)) for k, x in zip(rows.tolist(), errors[rows].tolist(), strict=True)], words

@@ -74,31 +74,27 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     told, blob = packed([*shapes, *tools.values()], [*meshes, *thin([*tools.values()], 1.0)])
     rest = iter(told)
     base = frames[arms[0]._ids[0]]
-    columns = zip(
-        robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, *robot._sampling, robot.home, strict=True
-    )
     keys = ("name", "kind", "lower", "upper", "low", "span", "home")
-    return (
-        {
-            "reach": robot.reach,
-            "room": view_room(bounds, body.floor),
-            # a missing limit becomes null in JSON
-            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],
-            "nodes": nodes,
-            "base": at(base.parentJoint, base.placement),
-            "tips": [
-                at(frames[tip].parentJoint, frames[tip].placement * arm.tool) for arm in arms for tip in arm._ids[1:]
-            ],
-            "parts": [
-                at(part.joint, part.placement)
-                | {"shapes": [next(rest) for _ in part.shapes], "thick": part.thick}
-                | ({} if part.end is None else {"end": at(part.end.joint, pin.SE3(np.eye(3), part.end.place))})
-                for part in body.parts
-            ],
-            "handles": dict(zip(tools, rest, strict=True)),
-        },
-        blob,
-    )
+    values = (robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, *robot._sampling, robot.home)
+    tips = [frames[tip] for arm in arms for tip in arm._ids[1:]]
+    parts = [
+        at(part.joint, part.placement)
+        | {"shapes": [next(rest) for _ in part.shapes], "thick": part.thick}
+        | ({} if part.end is None else {"end": at(part.end.joint, pin.SE3(np.eye(3), part.end.place))})
+        for part in body.parts
+    ]
+    told = {
+        "reach": robot.reach,
+        "room": view_room(bounds, body.floor),
+        # a missing limit becomes null in JSON
+        "joints": [plain(dict(zip(keys, column, strict=True))) for column in zip(*values, strict=True)],
+        "nodes": nodes,
+        "base": at(base.parentJoint, base.placement),
+        "tips": [at(tip.parentJoint, tip.placement * arm.tool) for tip, arm in zip(tips, arms, strict=True)],
+        "parts": parts,
+        "handles": dict(zip(tools, rest, strict=True)),
+    }
+    return told, blob
 
 
 def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
@@ -128,16 +124,8 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
             places.append((parent, T))
             continue
         turns, ratio, axis = screw(model, data, joint)
-        nodes.append(
-            {
-                "parent": parent,
-                "T": pose_rows(T),
-                "axis": axis.tolist(),
-                "ratio": ratio,
-                "turns": turns,
-                "joint": coordinate,
-            }
-        )
+        moves = {"axis": axis.tolist(), "ratio": ratio, "turns": turns, "joint": coordinate}
+        nodes.append({"parent": parent, "T": pose_rows(T), **moves})
         places.append((len(nodes) - 1, pin.SE3.Identity()))
     return nodes, places
 
@@ -186,16 +174,9 @@ def packed(shapes: Sequence[DrawnShape], meshes: Sequence[Mesh]) -> tuple[list[d
             np.round(127 * normal).astype("i1").tobytes(),
             faces.astype("<u4").tobytes(),
         ]
-        told.append(
-            {
-                "color": [float(c) for c in shape.color],
-                "opacity": float(shape.opacity),
-                "low": low.tolist(),
-                "size": size.tolist(),
-                "vertices": len(vertices),
-                "faces": len(faces),
-            }
-        )
+        look = {"color": [float(c) for c in shape.color], "opacity": float(shape.opacity)}
+        box = {"low": low.tolist(), "size": size.tolist()}
+        told.append({**look, **box, "vertices": len(vertices), "faces": len(faces)})
     return told, b"".join(blob)
 
 

@@ -14,7 +14,7 @@ import importlib.resources
 import json
 import socket
 import threading
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,14 @@ def _number(color: tuple[float, ...]) -> int:
     return r << 16 | g << 8 | b
 
 
-def _packed(data: bytes) -> str:
+def compressed(data: bytes) -> str:
+    """Return compressed data as text."""
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
+
+
+def framed(commands: list[bytes]) -> bytes:
+    """Concatenate viewer commands, each preceded by its length."""
+    return b"".join(len(command).to_bytes(4, "little") + command for command in commands)
 
 
 class Window:
@@ -47,14 +53,8 @@ class Window:
         self.objects: dict[str, bytes] = {}
         self.copies: dict[str, bytes] = {}
         self.transforms: dict[str, np.ndarray] = {}
-        self.about: dict[str, Any] = {
-            "title": "",
-            "lines": [],
-            "legend": [],
-            "names": [],
-            "camera": None,
-            "animation": None,
-        }
+        self.about: dict[str, Any] = {"title": "", "camera": None, "animation": None}
+        self.about |= {"lines": [], "legend": [], "names": []}
         self.feeds: set[Feed] = set()
         self.lock = threading.RLock()
         self.server: Server | None = None
@@ -81,17 +81,13 @@ class Window:
         """Draw a cloud of points (N, 3) [m] with colors (N, 3) in 0..1 and a size [m]."""
         g = meshcat_module().geometry
         cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
-        self._keep(
-            self.objects,
-            {"type": "set_object", "path": path, "object": g.Points(cloud, g.PointsMaterial(size=size)).lower()},
-        )
+        made = g.Points(cloud, g.PointsMaterial(size=size))
+        self._keep(self.objects, {"type": "set_object", "path": path, "object": made.lower()})
 
     def copy(self, path: str, source: str, color: tuple[float, float, float], opacity: float) -> None:
         """Draw the shape of another path again in another colour, without sending its triangles again."""
-        self._keep(
-            self.copies,
-            {"type": "copy", "path": path, "source": ROOT + source, "color": _number(color), "opacity": float(opacity)},
-        )
+        look = {"color": _number(color), "opacity": float(opacity)}
+        self._keep(self.copies, {"type": "copy", "path": path, "source": ROOT + source, **look})
 
     def place(self, path: str, T: np.ndarray) -> None:
         """Set the pose (4, 4) [m] of a path in its parent."""
@@ -123,21 +119,24 @@ class Window:
             for feed in self.feeds:
                 feed.told(about)
 
+    def animate(self, paths: Sequence[str], poses: np.ndarray, labels: Sequence[str], fps: float, first: int) -> None:
+        """Let paths go through poses (F, paths, 3 or 4, 4) [m], with a label for each frame; frame number `first` is shown."""
+        data = base64.b64encode(np.ascontiguousarray(poses[:, :, :3], dtype="<f4").tobytes()).decode()
+        made = {"paths": [ROOT + path for path in paths], "count": len(poses), "first": first}
+        self.say(animation={**made, "fps": fps, "labels": labels, "data": data})
+
     def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
         """Return the commands, in order, that draw the scene anew, or only some paths in it."""
+
+        def wanted(path: str) -> bool:
+            return paths is None or path in paths
+
         with self.lock:
-            return [
-                *(
-                    kept[path]
-                    for kept in (self.objects, self.copies)
-                    for path in kept
-                    if paths is None or path in paths
-                ),
-                *(
-                    scene_command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
-                    for path, T in self.transforms.items()
-                    if paths is None or path in paths
-                ),
+            drawn = [kept[path] for kept in (self.objects, self.copies) for path in kept if wanted(path)]
+            return drawn + [
+                scene_command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
+                for path, T in self.transforms.items()
+                if wanted(path)
             ]
 
     # ------------------------------------------------------------------------------------------------------- pages
@@ -149,9 +148,9 @@ class Window:
 
     def html(self) -> str:
         """Return the scene as one page that needs no network."""
-        blob = b"".join(len(d).to_bytes(4, "little") + d for d in self.snapshot())
-        about = json.dumps(self.about).encode()
-        return self._page(f'still("{_packed(viewer_script())}", "{_packed(blob)}", "{_packed(about)}");')
+        parts = viewer_script(), framed(self.snapshot()), json.dumps(self.about).encode()
+        texts = ", ".join(f'"{compressed(part)}"' for part in parts)
+        return self._page(f"still({texts});")
 
     def serve(self, port: int = 0) -> str:
         """Serve the live scene on 127.0.0.1 and return its address; a second call returns the same address."""

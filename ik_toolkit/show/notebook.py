@@ -27,7 +27,7 @@ from .animation import numbered
 from .body import Body, DrawnShape
 from .feed import Feed
 from .live_page import thin
-from .meshcat_server import Window, _packed, viewer_script
+from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
 
 _standing: dict[str, Any] = {}  # the cell into which this kernel has written each shared part
@@ -149,14 +149,13 @@ def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) ->
     shared = {path for robot in robots.values() for path in robot}
     rest = {path for path in (*window.objects, *window.copies, *window.transforms) if path not in shared}
     with window.lock:
-        blob, about = _packed(_framed(window.snapshot(rest))), _packed(json.dumps(_short(window.about)).encode())
+        blob, about = compressed(framed(window.snapshot(rest))), compressed(json.dumps(_short(window.about)).encode())
         if channel is not None:
             channel.shown()
     code = (importlib.resources.files("ik_toolkit.show") / "cell" / "scene.js").read_text(encoding="utf-8")
-    parts = [_part(Window()._page(code)), _part(_packed(viewer_script())), *map(_meshes, robots.values())]
-    return _bundle(
-        parts, {"id": channel.id if channel else uuid.uuid4().hex, "blob": blob, "about": about}, what, window
-    )
+    parts = [_part(Window()._page(code)), _part(compressed(viewer_script())), *map(_meshes, robots.values())]
+    told = {"id": channel.id if channel else uuid.uuid4().hex, "blob": blob, "about": about}
+    return _bundle(parts, told, what, window)
 
 
 def _bundle(
@@ -212,12 +211,7 @@ def _meshes(robot: dict[str, bytes]) -> tuple[str, str]:
         rounded = (np.round(vertices / unit) * unit).astype(np.float32)
         small.shape(path, DrawnShape(rounded, faces.astype(np.uint32), one.color, one.opacity))
         digest.update(f"{path} {one.color} {one.opacity}".encode() + rounded.tobytes() + faces.tobytes())
-    return digest.hexdigest()[:12], _packed(_framed(small.snapshot()))
-
-
-def _framed(commands: list[bytes]) -> bytes:
-    """Concatenate viewer commands, each preceded by its length."""
-    return b"".join(len(command).to_bytes(4, "little") + command for command in commands)
+    return digest.hexdigest()[:12], compressed(framed(small.snapshot()))
 
 
 def _short(about: dict[str, Any]) -> dict[str, Any]:

@@ -207,9 +207,8 @@ def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.
     wide, tall = np.maximum(high - low, 0).T
     count = wide * tall
     some = np.flatnonzero(count)
-    first = np.searchsorted(
-        np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000)
-    )  # the triangles are divided into chunks, which bounds the memory
+    # The triangles are divided into chunks, which bounds the memory.
+    first = np.searchsorted(np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000))
     for chunk in np.split(some, np.unique(first)[1:]) if len(some) else ():
         faces = np.repeat(chunk, count[chunk])
         k = np.arange(len(faces)) - np.repeat(np.cumsum(count[chunk]) - count[chunk], count[chunk])
@@ -283,26 +282,11 @@ def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
     with tempfile.TemporaryDirectory() as folder:  # an MP4 file is not written from front to back
         made = Path(folder) / "film.mp4"
         even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # The pixel format needs even width and height.
-        words = [
-            "-f",
-            "rawvideo",
-            "-pix_fmt",
-            "rgb24",
-            "-s",
-            f"{first.width}x{first.height}",
-            "-r",
-            f"{rate:.6g}",
-            "-i",
-            "-",
-        ]
-        words += ["-vf", even, "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(made)]
-        data = b"".join(one.tobytes() for one in rgb)
-        done = subprocess.run(
-            [ffmpeg, "-y", "-loglevel", "error", *words], input=data, capture_output=True, check=False
-        )
+        read = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {first.width}x{first.height} -r {rate:.6g} -i -"
+        write = f"-vf {even} -c:v libx264 -pix_fmt yuv420p -movflags +faststart"
+        words = [ffmpeg, *read.split(), *write.split(), str(made)]
+        done = subprocess.run(words, input=b"".join(one.tobytes() for one in rgb), capture_output=True, check=False)
         if done.returncode or not made.is_file():
-            said = done.stderr.decode(errors="replace").strip().splitlines()
-            raise InvalidOption(
-                f"ffmpeg could not write the film: {said[-1] if said else done.returncode}; a .gif needs no ffmpeg"
-            )
+            said = done.stderr.decode(errors="replace").strip().splitlines() or [done.returncode]
+            raise InvalidOption(f"ffmpeg could not write the film: {said[-1]}; a .gif needs no ffmpeg")
         return made.read_bytes()

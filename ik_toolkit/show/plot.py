@@ -26,7 +26,17 @@ from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from ..text import length
 from .body import skeleton
-from .plots import SUFFIXES, convergence, drawing, literal_text, plot_motion, plot_track, save, tracking_errors
+from .plots import (
+    SUFFIXES,
+    convergence,
+    drawing,
+    literal_text,
+    plot_motion,
+    plot_track,
+    save,
+    tracking_errors,
+    two_views,
+)
 from .reach_pictures import plot_map, plot_places
 
 
@@ -52,11 +62,8 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         MissingExtra: matplotlib is not installed.
     """
     if isinstance(robot, str | Path):
-        meant = (
-            f"to write the chart give file={str(robot)!r}"
-            if Path(robot).suffix.lower() in SUFFIXES
-            else "see Robot.load"
-        )
+        drawn = Path(robot).suffix.lower() in SUFFIXES
+        meant = f"to write the chart give file={str(robot)!r}" if drawn else "see Robot.load"
         raise InvalidOption(f"a Robot or a Tree is needed as robot=, not {str(robot)!r:.60}; {meant}")
     several = tuple(what.values()) if isinstance(what, Mapping) else (what,)
     alone = next((draw for kind, draw in ALONE.items() if isinstance(what, kind)), None)
@@ -97,16 +104,15 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
         for k, (label, one) in enumerate(named.items()):
             one = robot.check_q(one)
             arms = [skeleton(arm, one[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
-            for axis, keep in zip(axes, ((0, 2), (0, 1)), strict=True):
+            for axis, keep in two_views(axes):
                 for number, points in enumerate(arms):
                     name = literal_text(label) if not number and label else None
                     axis.plot(*points[:, keep].T, "o-", color=COLOURS[k % 8], lw=2.4, ms=4, label=name)
-        for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
+        for axis, (i, j) in two_views(axes):
             if target is not None:
                 T = check_target(target)[0]
                 x = T[:3, 3] if T.ndim == 2 else T
                 axis.plot(x[i], x[j], "x", color=COLOURS[1], ms=10, mew=2.5, label="target")
-            axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side)
             axis.set_aspect("equal", adjustable="datalim")
             axis.margins(0.1)
         if axes[0].get_legend_handles_labels()[0]:
@@ -132,16 +138,10 @@ def plot_benchmark(found: Benchmark) -> Any:
                 times.step(1e6 * seconds, share, where="post", **style)
             bars.set_yticks(-np.arange(len(rows)), [literal_text(row.solver) for row in rows])
             bars.grid(False, axis="y")
-            bars.set(
-                xlim=(0, 102), title=literal_text(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets"
-            )
-            times.set(
-                xscale="log",
-                ylim=(0, 102),
-                title="solved within a time; colours as on the left",
-                ylabel="of 100 targets",
-                xlabel="time of a solve [us]",
-            )
+            bars.set(xlim=(0, 102), xlabel="of 100 targets")
+            bars.set_title(literal_text(f"{robot}: targets solved, 95 % interval"))
+            times.set(xscale="log", ylim=(0, 102), title="solved within a time; colours as on the left")
+            times.set(ylabel="of 100 targets", xlabel="time of a solve [us]")
         return figure
 
 
@@ -157,12 +157,9 @@ def plot_batch(batch: BatchResult) -> Any:
         if len(steps) and steps[-1] > 20 * steps[0]:
             axis.set_xscale("log")
             axis.xaxis.set_major_formatter("{x:g}")
-        left = (
-            f", of the others at most {length(float(batch.position_error[~good].max()))} off" if not good.all() else ""
-        )
-        axis.set_title(
-            literal_text(f"{batch.solver} on {batch.plan.robot.name}: {good.sum()} of {len(batch)} solved{left}")
-        )
+        solved = f"{batch.solver} on {batch.plan.robot.name}: {good.sum()} of {len(batch)} solved"
+        off = "" if good.all() else f", of the others at most {length(float(batch.position_error[~good].max()))} off"
+        axis.set_title(literal_text(solved + off))
     return figure
 
 
@@ -220,21 +217,16 @@ def plot_calibration(found: Calibration) -> Any:
         if out:
             axes[0].semilogy(out, 1e3 * found.after[out], "o", color=COLOURS[1], ms=5, label="outlier, left out")
         axes[0].set(xlabel="measurement (row)", ylabel="off by [mm]")
-        axes[0].set_title(
-            literal_text(f"{found.drawn.name}: {length(found.rms[0])} as drawn, {length(found.rms[1])} corrected (RMS)")
-        )
+        drawn, corrected = map(length, found.rms)
+        axes[0].set_title(literal_text(f"{found.drawn.name}: {drawn} as drawn, {corrected} corrected (RMS)"))
         axes[0].legend(fontsize=8)
         for axis, kind, scale, unit in ((axes[1], False, 1e3, "mm"), (axes[2], True, 180.0 / np.pi, "deg")):
             # The base may be metres away, beside which no error of the arm could be seen; the table has it.
-            shown = [
-                (name, *values) for name, values in found.errors.items() if turns[name] == kind and name not in base
-            ]
-            some = [(name, scale * x, scale * half) for name, x, half in shown]
-            y = -np.arange(len(some))
-            axis.errorbar(
-                [x for _, x, _ in some], y, xerr=[half for *_, half in some], fmt="o", color=COLOURS[0], ms=3.5, lw=1.2
-            )
-            axis.set_yticks(y, [literal_text(name) for name, *_ in some], fontsize=7)
+            names = [name for name in found.errors if turns[name] == kind and name not in base]
+            x, half = scale * np.reshape([found.errors[name] for name in names], (-1, 2)).T
+            y = -np.arange(len(names))
+            axis.errorbar(x, y, xerr=half, fmt="o", color=COLOURS[0], ms=3.5, lw=1.2)
+            axis.set_yticks(y, [literal_text(name) for name in names], fontsize=7)
             axis.axvline(0.0, color="black", lw=0.8)
             axis.set(xlabel=f"error [{unit}]", title=f"{'angles' if kind else 'lengths'}, 95 % interval")
         return figure
@@ -250,12 +242,11 @@ def plot_tuning(result: TuneResult) -> Any:
         axis.semilogy(generation, result.history[:, 0], color=COLOURS[0], lw=2, label="best so far")
         axis.set(xlabel="generation", ylabel="cost (1 = all targets fail)")
         low, high = result.held_out.interval
-        axis.set_title(
-            literal_text(
-                f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n"
-            )
-            + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
+        before = f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before"
+        after = (
+            f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
         )
+        axis.set_title(literal_text(f"{before},\n{after}"))
         axis.legend(loc="upper right")
         return figure
 
@@ -294,16 +285,9 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
         for one in drawn:
             # Cells with zero failures are pale, because white means that there is no target.
             one.set_clim(-0.15 * worst, worst)
-        figure.colorbar(
-            image,
-            ax=axes,
-            label="failures [%]",
-            boundaries=np.linspace(0.0, worst, 101),
-            ticks=np.linspace(0.0, worst, 5),
-            shrink=min(0.8, 1.6 / rows),
-            aspect=30,
-            pad=0.02,
-        )
+        scale = {"boundaries": np.linspace(0.0, worst, 101), "ticks": np.linspace(0.0, worst, 5)}
+        shape = {"shrink": min(0.8, 1.6 / rows), "aspect": 30, "pad": 0.02}
+        figure.colorbar(image, ax=axes, label="failures [%]", **scale, **shape)
         return figure
 
 

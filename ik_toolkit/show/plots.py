@@ -49,6 +49,13 @@ def literal_text(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def two_views(axes: Sequence[Any]) -> Iterator[tuple[Any, tuple[int, int]]]:
+    """Yield two charts with the coordinates that they show, from the side (x, z) and from above (x, y), and label them."""
+    for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
+        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side)
+        yield axis, (i, j)
+
+
 def save(figure: Any, path: str | Path) -> Path:
     """Write a figure to a .png, .pdf or .svg file. Raises InvalidOption for another suffix."""
     file = as_output(path, "a plot", *SUFFIXES)
@@ -57,59 +64,51 @@ def save(figure: Any, path: str | Path) -> Path:
     return file
 
 
-def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
+def convergence(runs: Any, *, title: str = "") -> Any:
     """Draw the error after every iteration of a solve, several solvers side by side, on one logarithmic scale.
 
     The attempt that found the result is drawn up to it, the position [m] as a solid line, the orientation [rad] dashed;
-    the other attempts are thin and grey. runs is a Result with history, its history, or a dict label -> either. Labels
-    and title are drawn literally, never as formulas. tolerance [m, rad] is drawn as a line. Raises InvalidOption for a
-    result without history.
+    the other attempts are thin and grey. runs is a Result with history, or a dict label -> Result. Labels and title are
+    drawn literally, never as formulas. Raises InvalidOption for a result without history.
     """
-    named = _named(runs)
+    named = runs if isinstance(runs, Mapping) else {runs.solver: runs}
+    if not named:
+        raise InvalidOption("there are no runs to draw")
+    for label, run in named.items():
+        if run.history is None:
+            raise InvalidOption(f"the result {label!r} has no history: solve with history=True")
     with drawing() as plt:
-        width = min(11.0, 2.0 + 2.6 * len(named)) if len(named) > 1 else 5.6
-        figure, axes = plt.subplots(
-            1, len(named), figsize=(width, 3.3), sharey=True, squeeze=False, layout="constrained"
-        )
-        for k, (axis, (label, (history, q))) in enumerate(zip(axes[0], named.items(), strict=True)):
-            won, others = attempts(history, q)
-            drawn = np.maximum(np.asarray(history["position_error"], dtype=float), FLOOR)
+        size = (min(11.0, 2.0 + 2.6 * len(named)) if len(named) > 1 else 5.6, 3.3)
+        figure, axes = plt.subplots(1, len(named), figsize=size, sharey=True, squeeze=False, layout="constrained")
+        for k, (axis, (label, run)) in enumerate(zip(axes[0], named.items(), strict=True)):
+            won, others = attempts(run.history, run.q)
+            drawn, angle = (np.maximum(run.history[key], FLOOR) for key in ("position_error", "orientation_error"))
             for other in others:
                 name = None if k or other is not others[0] else "other attempts [m]"
                 axis.semilogy(drawn[other], color=COLOURS[7], alpha=0.5, lw=0.7, label=name)
             position = drawn[won]
             few = "o" if len(position) < 40 else None
             axis.semilogy(position, color=COLOURS[0], marker=few, ms=3, label="position [m]")
-            angle = history.get("orientation_error")
-            if angle is not None and np.isfinite(np.asarray(angle, dtype=float)).any():
-                shown = np.maximum(np.asarray(angle, dtype=float)[won], FLOOR)
-                axis.semilogy(shown, color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
-            if tolerance is not None:
-                axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
+            if np.isfinite(angle).any():
+                axis.semilogy(angle[won], color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(
-                xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations") if label else ""
-            )
+            axis.set(xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations"))
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
-        _title(figure, title)
+        if title:
+            figure.suptitle(literal_text(title), x=0.01, ha="left", fontweight="bold", fontsize=10)
     return figure
 
 
-def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, list[np.ndarray]]:
+def attempts(history: Mapping[str, np.ndarray], q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return the rows of the winning attempt, up to its result, and those of the first twelve others.
 
-    If the result q (n,) is not among the rows because it was refined, the last row is used instead, and without q the
-    row with the smallest position error. A history without the column `attempt` is one attempt.
+    If the result q (n,) is not among the rows because it was refined, the last row is used instead.
     """
-    error = np.asarray(history["position_error"], dtype=float)
-    number = np.asarray(history.get("attempt", np.zeros(len(error), dtype=int)))
-    rows = np.arange(len(error))
-    if q is None:
-        answer = int(np.argmin(error))
-    else:
-        same = np.flatnonzero((np.asarray(history["q"]) == q).all(axis=1))
-        answer = int(same[-1]) if len(same) else len(error) - 1
+    number = history["attempt"]
+    rows = np.arange(len(number))
+    same = np.flatnonzero((history["q"] == q).all(axis=1))
+    answer = int(same[-1]) if len(same) else len(number) - 1
     won = number[answer]
     others = [rows[number == one] for one in np.unique(number) if one != won][:12]
     return rows[(number == won) & (rows <= answer)], others
@@ -128,51 +127,23 @@ def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.n
     return Q, position, angle, others
 
 
-def tracking_errors(runs: Any, *, title: str = "") -> Any:
-    """Draw position and orientation error over time of a TrackResult, or a dict label -> TrackResult, on logarithmic scales."""
-    named = runs if isinstance(runs, Mapping) else {getattr(runs, "method", ""): runs}
-    turning = [run.orientation_error is not None for run in named.values()]
+def tracking_errors(runs: Mapping[Any, TrackResult]) -> Any:
+    """Draw position and orientation error over time of each TrackResult of a dict, on logarithmic scales."""
+    turning = any(run.orientation_error is not None for run in runs.values())
     with drawing() as plt:
-        figure, axes = plt.subplots(
-            1 + any(turning),
-            1,
-            figsize=(6.2, 2.4 + 1.9 * any(turning)),
-            sharex=True,
-            squeeze=False,
-            layout="constrained",
-        )
-        for k, (label, run) in enumerate(named.items()):
+        size = (6.2, 2.4 + 1.9 * turning)
+        figure, axes = plt.subplots(1 + turning, 1, figsize=size, sharex=True, squeeze=False, layout="constrained")
+        for k, (label, run) in enumerate(runs.items()):
             style = {"color": COLOURS[k % 8], "ls": DASHES[k % 8], "lw": 1.3}
-            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=literal_text(label), **style)
+            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=literal_text(str(label)), **style)
             if run.orientation_error is not None:
                 axes[1, 0].semilogy(run.t, np.maximum(run.orientation_error, FLOOR), **style)
         axes[0, 0].set_ylabel("position error [m]")
-        if any(turning):
+        if turning:
             axes[1, 0].set_ylabel("orientation error [rad]")
         axes[-1, 0].set_xlabel("time [s]")
         axes[0, 0].legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-        _title(figure, title)
     return figure
-
-
-def _title(figure: Any, text: str) -> None:
-    if text:
-        figure.suptitle(literal_text(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
-
-
-def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
-    """Map each label to a history and the result q (None if unknown), from anything `convergence` accepts."""
-    single = not isinstance(runs, Mapping) or "position_error" in runs
-    named = {getattr(runs, "solver", ""): runs} if single else dict(runs)
-    if not named:
-        raise InvalidOption("there are no runs to draw")
-    found = {}
-    for label, run in named.items():
-        history, q = (run, None) if isinstance(run, Mapping) else (run.history, run.q)
-        if history is None:
-            raise InvalidOption(f"the result {label!r} has no history: solve with history=True")
-        found[label] = history, q
-    return found
 
 
 # ----------------------------------------------------------------------------------------------------- motions
@@ -203,15 +174,9 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
                 break
             legend.remove()
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
-        figure.suptitle(
-            literal_text(
-                f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
-                f"{result.status.name.lower()}"
-            ),
-            x=0.01,
-            ha="left",
-            fontweight="bold",
-        )
+        method = f"{result.method} ({settings})" if settings else result.method
+        title = literal_text(f"{result.robot}: {method}, {1 / result.dt:.4g} Hz: {result.status.name.lower()}")
+        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         return figure
 
 
@@ -247,18 +212,15 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
 
 
 def _errors(ax: Any, result: TrackResult) -> None:
-    ax.semilogy(result.t, np.maximum(result.position_error, FLOOR), color=COLOURS[0], lw=1.3, label="position [m]")
-    if result.orientation_error is not None:
-        ax.semilogy(
-            result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]"
-        )
+    turned, t = result.orientation_error, result.t
+    ax.semilogy(t, np.maximum(result.position_error, FLOOR), color=COLOURS[0], lw=1.3, label="position [m]")
+    if turned is not None:
+        ax.semilogy(t, np.maximum(turned, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]")
     held = np.append(result.at_limits.any(axis=1), False)
     if held.any():
-        ax.fill_between(
-            result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit"
-        )
+        ax.fill_between(t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit")
     ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
-    if result.orientation_error is not None:
+    if turned is not None:
         ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
     ax.set_title("error at the samples", loc="left", pad=20)  # room for the legend between title and curves
     ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
@@ -286,9 +248,8 @@ def plot_motion(what: Any) -> Any:
     """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
     timed = hasattr(what, "dq")
     with drawing() as plt:
-        figure, axes = plt.subplots(
-            3 if timed else 2, 1, figsize=(8.6, 7.2 if timed else 5.6), sharex=True, layout="constrained"
-        )
+        size = (8.6, 7.2 if timed else 5.6)
+        figure, axes = plt.subplots(3 if timed else 2, 1, figsize=size, sharex=True, layout="constrained")
         x = what.t if timed else what.at
         breaks = [] if timed else [one.index + 0.5 for one in what.reconfigurations]
         _joints(axes[0], what.robot, what.robot.joint_names, x, what.q if timed else what.curve, breaks)

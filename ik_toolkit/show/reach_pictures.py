@@ -1,6 +1,5 @@
 """Pictures of where a robot reaches and where it should stand: planes through a map, its cells in 3-D, scores over the floor."""
 
-import base64
 import textwrap
 from typing import Any
 
@@ -10,7 +9,7 @@ from ..errors import InvalidOption
 from ..study.place import Placements
 from ..study.reachability_map import Reach, ReachabilityMap
 from ..style import COLOURS, GREY, PALE
-from .plots import drawing, literal_text
+from .plots import drawing, literal_text, two_views
 from .scene_state import css
 
 SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))  # corners of a box's sides
@@ -22,18 +21,12 @@ def plot_map(found: ReachabilityMap) -> Any:
     White is proven out of reach; grey means that no configuration was found and nothing is proven. The title gives the counts and
     the audit.
     """
-    counts, total = found.counts(), found.states.size
-    words = [
-        f"{100 * counts['yes'] / total:.3g} % of {total:,} answers reached",
-        f"{100 * counts['no'] / total:.3g} % proven no",
-    ]
-    words += [f"{100 * counts['unknown'] / total:.3g} % not found, not proven"]
+    total = found.states.size
+    share = {name: f"{100 * count / total:.3g} %" for name, count in found.counts().items()}
+    words = f"{share['yes']} of {total:,} answers reached, {share['no']} proven no, {share['unknown']} not found, not proven"
     with drawing() as plt:
-        if found.grid.poses is not None:
-            figure = _loose(plt, found)
-        else:
-            figure = _planes(plt, found)
-        text = [f"{found.robot}, {found.tip}: {', '.join(words)}", str(found.audit)]
+        figure = (_planes if found.grid.poses is None else _loose)(plt, found)
+        text = [f"{found.robot}, {found.tip}: {words}", str(found.audit)]
         lines = [line for one in text for line in textwrap.wrap(one, int(15 * figure.get_figwidth()))]
         figure.suptitle(literal_text("\n".join(lines)), x=0.01, ha="left", fontsize=8.5)
     return figure
@@ -44,9 +37,8 @@ def _planes(plt: Any, found: ReachabilityMap) -> Any:
     what = "share" if grid.turns > 1 else "manipulability"
     planes = (("z", 0, 1, "from above"), ("y", 0, 2, "from the side"), ("x", 1, 2, "from the front"))
     drawn = [one for one in planes if all(grid.size[k] > 0.0 for k in one[1:3])] or [planes[0]]
-    figure, axes = plt.subplots(
-        1, len(drawn), figsize=(max(4.6, 3.3 * len(drawn)), 4.2), layout="constrained", squeeze=False
-    )
+    size = (max(4.6, 3.3 * len(drawn)), 4.2)
+    figure, axes = plt.subplots(1, len(drawn), figsize=size, layout="constrained", squeeze=False)
     top = 1.0 if what == "share" else max(float(found.manipulability.max(initial=0.0)), 1e-12)
     open_ = ((found.states >= Reach.FEW).any(axis=1) & ~(found.states == Reach.YES).any(axis=1)).reshape(grid.shape)
     middle = _middle(found)
@@ -82,15 +74,11 @@ def _middle(found: ReachabilityMap) -> np.ndarray:
 def _loose(plt: Any, found: ReachabilityMap) -> Any:
     figure, axes = plt.subplots(1, 2, figsize=(8.2, 4.0), layout="constrained")
     at, yes, no = found.grid.centres(), found.reached.ravel(), (found.states == Reach.NO).ravel()
-    kinds = (
-        (~yes & ~no, GREY, "not found, not proven"),
-        (no, PALE, "proven out of reach"),
-        (yes, COLOURS[0], "reached"),
-    )
-    for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
+    kinds = (~yes & ~no, GREY, "not found, not proven"), (no, PALE, "proven out of reach"), (yes, COLOURS[0], "reached")
+    for axis, (i, j) in two_views(axes):
         for some, colour, label in kinds:
             axis.plot(at[some, i], at[some, j], ".", ms=2, color=colour, label=label, rasterized=True)
-        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side, aspect="equal")
+        axis.set_aspect("equal")
     axes[0].legend(loc="upper left", markerscale=4)
     return figure
 
@@ -113,11 +101,9 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     points = points @ base[:3, :3].T + base[:3, 3]
     sizes, shape = found.grid.size, found.grid.shape
     across = next((k for k in (1, 0, 2) if shape[k] > 1), 0) if found.grid.poses is None else 0
-    plane = (
-        np.unravel_index(np.arange(found.grid.cells), shape)[across]
-        if found.grid.poses is None
-        else 0 * yes.astype(int)
-    )
+    plane = np.zeros(len(yes), dtype=int)
+    if found.grid.poses is None:
+        plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]
     big = 0.55 * float(sizes[sizes > 0].min()) if (sizes > 0).any() else 0.01 * scene._extent()
     used = np.unique(plane[yes])
     for k in used:
@@ -126,10 +112,8 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
         scene._boxes[f"cells/{k}"] = np.array([points[some].min(axis=0), points[some].max(axis=0)])
         scene._shown.add(f"cells/{k}")
     what = "share of orientations reached" if found.grid.turns > 1 else "manipulability"
-    scene._say(
-        f"cells/{used[0]}",
-        *((css(ramp(np.array([0.0, x, 1.0]))[1]), f"{what}: {word}") for x, word in ((0.0, "low"), (1.0, "high"))),
-    )
+    ends = ((0.0, "low"), (1.0, "high"))
+    scene._say(f"cells/{used[0]}", *((css(ramp(np.array([0.0, x, 1.0]))[1]), f"{what}: {word}") for x, word in ends))
     scene.say(str(found.audit))
     if len(used) < 2:
         return
@@ -141,27 +125,16 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
         scene.window.place(f"cells/{k}", np.diag((0.0, 0.0, 0.0, 1.0)))
     at = found.grid.low_centre[across] + found.grid.size[across] * used
     labels = ["all cells", *(f"{'xyz'[across]} from {x:.3g} m" for x in at[1:])]
-    paths = [f"/meshcat/cells/{k}" for k in used]
-    data = base64.b64encode(poses.tobytes()).decode()
-    scene.window.say(
-        animation={"paths": paths, "count": len(used), "first": half, "fps": 8.0, "labels": labels, "data": data}
-    )
+    scene.window.animate([f"cells/{k}" for k in used], poses, labels, 8.0, half)
 
 
 def ramp(values: np.ndarray) -> np.ndarray:
     """Return colours (N, 3) in 0..1 of values (N,) from their least to their largest, as matplotlib's viridis."""
-    stops = np.array(
-        [
-            (0.267, 0.005, 0.329),
-            (0.229, 0.322, 0.546),
-            (0.128, 0.567, 0.551),
-            (0.369, 0.789, 0.383),
-            (0.993, 0.906, 0.144),
-        ]
-    )
+    red, green = (0.267, 0.229, 0.128, 0.369, 0.993), (0.005, 0.322, 0.567, 0.789, 0.906)
+    blue = (0.329, 0.546, 0.551, 0.383, 0.144)
     high = max(float(np.max(values, initial=0.0)), 1e-300)
-    x = np.clip(np.asarray(values, dtype=float) / high, 0.0, 1.0) * (len(stops) - 1)
-    return np.stack([np.interp(x, np.arange(len(stops)), stops[:, c]) for c in range(3)], axis=-1)
+    x = np.clip(np.asarray(values, dtype=float) / high, 0.0, 1.0)
+    return np.stack([np.interp(x, np.linspace(0.0, 1.0, 5), stops) for stops in (red, green, blue)], axis=-1)
 
 
 def plot_places(found: Placements) -> Any:
@@ -189,9 +162,7 @@ def plot_places(found: Placements) -> Any:
             axis.annotate(
                 "", (one.x + end[0], one.y + end[1]), (one.x, one.y), arrowprops={"arrowstyle": "->", "lw": 1.6}
             )
-            axis.plot(
-                one.x, one.y, "o", ms=7 if k == 0 else 4, color="black", mfc="white", label="places" if k == 0 else None
-            )
+            axis.plot(one.x, one.y, "o", ms=4 if k else 7, color="black", mfc="white", label=None if k else "places")
         axis.grid(False)
         axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
         axis.fill([], [], color="0.925", label="none reached")

@@ -1,6 +1,6 @@
 """The 3-D view: robots, ghosts, targets, obstacles, trails, clouds and animations; live, in a notebook, or as one file."""
 
-import base64
+import itertools
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -154,9 +154,8 @@ class Scene(InCell, SceneState):
             animation.draw_obstacles(self, what, name or "obstacle")
             return name or "obstacle"
         stem = "robot" if isinstance(what, Joints) else is_shape(what).kind
-        name = name or next(
-            one for k in range(1 + (stem == "robot"), 10**6) if (one := f"{stem}_{k}") not in self._boxes
-        )
+        free = (f"{stem}_{k}" for k in itertools.count(1 + (stem == "robot")) if f"{stem}_{k}" not in self._boxes)
+        name = name or next(free)
         if isinstance(what, Joints):
             q, T = what.check_q(what.home if at is None else at), np.eye(4) if T_base is None else as_matrix(T_base)
             body = Body(what)
@@ -194,9 +193,8 @@ class Scene(InCell, SceneState):
     def name(self, path: str, text: str, below: bool = False) -> None:
         """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
         self._known(path)
-        self._names = [one for one in self._names if one[0] != path] + [
-            (path, read_text(text, "text"), 6 if below else -24)
-        ]
+        label = (path, read_text(text, "text"), 6 if below else -24)
+        self._names = [*(one for one in self._names if one[0] != path), label]
         self.window.say(names=self._names)
 
     def move(self, T_base: Any, name: str = "target") -> None:
@@ -250,14 +248,12 @@ class Scene(InCell, SceneState):
         self._stop()
         poses = self._poses(name, Q)
         self._put(name, np.concatenate([poses[first : first + 1], poses]), (None, None))
-        paths = [f"/meshcat/{name}/{part.name}" for part in body.parts]
+        paths = [f"{name}/{part.name}" for part in body.parts]
         if name == "robot":
             drawn = [k for k in range(len(self.robot.tips)) if numbered("tip", k) in self.window.transforms]
             poses = np.concatenate([poses, np.array([self.body.tips(q)[drawn] for q in Q])], axis=1)
-            paths += [f"/meshcat/{numbered('tip', k)}" for k in drawn]
-        data = base64.b64encode(np.ascontiguousarray(poses[:, :, :3], dtype="<f4").tobytes()).decode()
-        made = {"paths": paths, "count": len(Q), "first": first, "fps": fps, "labels": labels, "data": data}
-        self.window.say(animation=made)
+            paths += [numbered("tip", k) for k in drawn]
+        self.window.animate(paths, poses, labels, fps, first)
 
     def converge(self, result: Any) -> None:
         """Animate a solve, a Result with history: the iterates of the attempt that found the result, ending there.

@@ -229,9 +229,8 @@ class SceneState(Unique):
 
         Raises InvalidOption if they are not finite numbers (3,), or the same point.
         """
-        boxes = [*self._boxes.values()] or [self.body.bounds(self.robot.home)]
-        box = np.array([np.min([c[0] for c in boxes], axis=0), np.max([c[1] for c in boxes], axis=0)])
-        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        low, high = self._box()
+        centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
         to = centre if target is None else self._points(target, "target must be a point (3,) [m]", False)[0]
         away = 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
         at = to + away if eye is None else self._points(eye, "eye must be a point (3,) [m]", False)[0]
@@ -250,9 +249,13 @@ class SceneState(Unique):
             found[path] = np.eye(4)
         return found
 
+    def _box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the corners (3,) [m] of the box around everything drawn, or around the robot at home."""
+        boxes = np.array([*self._boxes.values()] or [self.body.bounds(self.robot.home)])
+        return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+
     def _extent(self) -> float:
-        boxes = [*self._boxes.values()] or [self.body.bounds(self.robot.home)]
-        low, high = np.min([c[0] for c in boxes], axis=0), np.max([c[1] for c in boxes], axis=0)
+        low, high = self._box()
         return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
 
     def _see(self, name: str, points: np.ndarray) -> bool:
@@ -270,10 +273,9 @@ class SceneState(Unique):
     def _points(self, points: Any, what: str, several: bool = True) -> np.ndarray:
         """Return finite points (N, 3) [m]. Raises InvalidOption."""
         P = np.atleast_2d(floats(points, what, InvalidOption))
-        if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not np.isfinite(P).all() or (len(P) > 1 and not several):
-            raise InvalidOption(
-                f"{what}, not shape {P.shape}" if np.isfinite(P).all() else f"{what}, not {P.tolist()!s:.80}"
-            )
+        finite = np.isfinite(P).all()
+        if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not finite or (len(P) > 1 and not several):
+            raise InvalidOption(f"{what}, not {f'shape {P.shape}' if finite else P.tolist()!s:.80}")
         return P
 
     def _world(self, points: Any) -> np.ndarray:
@@ -284,17 +286,13 @@ class SceneState(Unique):
     def _cloud(self, points: Any, success: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return points (N, 3) [m] in world axes, and which of them succeeded (N,). Raises InvalidOption."""
         P = self._world(points)
-        good = (
-            np.ones(len(P), dtype=bool)
-            if success is None
-            else floats(success, "success must be bools", InvalidOption, "biu")
-        )
+        success = np.ones(len(P), dtype=bool) if success is None else success
+        good = floats(success, "success must be bools", InvalidOption, "biu")
         if good.shape != (len(P),):
             raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
         return P, good.astype(bool)
 
     def _tips(self, q: np.ndarray) -> np.ndarray:
         """Return the positions (tips, 3) [m] of the tips in base axes."""
-        world = self.body.tips(q)[:, :3, 3]
         base = self.body.T_world_base
-        return (world - base[:3, 3]) @ base[:3, :3]
+        return (self.body.tips(q)[:, :3, 3] - base[:3, 3]) @ base[:3, :3]

@@ -12,6 +12,7 @@ from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
 from ik_toolkit.papers.patko_2019 import dynamics
 from ik_toolkit.papers.report import Report, cell
+from ik_toolkit.papers.shanmugasundar_2012 import formulas as printed_numbers
 from ik_toolkit.papers.shanmugasundar_2012 import paper as inspection
 from ik_toolkit.papers.timing import rounds, spread
 
@@ -169,7 +170,7 @@ def test_table_2_and_the_lift_stand_in_the_report():
     rows = report.data["table_2"]["rows"]
     assert len(rows) == 7 and rows[3] == [4, "0 / 0", "290 / 290", "0 / 0"] and rows[4][1] == "-90 / -90"
     assert all(cell.split(" / ")[0] == cell.split(" / ")[1] for row in rows for cell in row[1:] if "lift" not in cell)
-    printed = inspection.pose_matrix(inspection.PRINTED_POSE)
+    printed = printed_numbers.pose_matrix(printed_numbers.PRINTED_POSE)
     inspection.answers(report, printed, printed)
     angles = {row[0]: row for row in report.data["published_angles"]["rows"]}
     assert angles["theta_2"][1:3] == ["0", "0"] and "220" in angles["theta_2"][3]

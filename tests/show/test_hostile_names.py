@@ -148,7 +148,7 @@ def test_charts(tmp_path):
     run.robot, run.method = evil, evil
     figures = [
         plots.convergence({evil: result}, title=evil),
-        plots.tracking_errors({evil: run}, title=evil),
+        plots.tracking_errors({evil: run}),
     ]
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters as letters, so that they can be read back
         pages = [plots.save(figure, tmp_path / f"{k}.svg") for k, figure in enumerate(figures)]

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from ...robot.robot import Robot
-from ...solvers.batch.solve_batch import solve_batch
 from ...solvers.rules.pid import PID
 from ...solvers.rules.pid import UNITS as PID_UNITS
 from ...solvers.rules.state_space import StateSpace
@@ -27,7 +26,7 @@ from ...study.engines import Evolution, Swarm
 from ...study.targets import sample_targets
 from ...study.tune import score
 from ..report import Report
-from .published import PAPER_OPTIONS, TO_PAPER
+from .published import PAPER_OPTIONS, TO_PAPER, attempt
 
 GENERATIONS, PARTICLES, GOALS = 25, 40, 300
 SEARCH_STEPS = 400  # highest number of iterations while searching; the result of the paper needs about 350
@@ -81,8 +80,7 @@ def theory(robot: Robot, published: StateSpace, q: np.ndarray) -> StateSpace:
 def search_theory(robot: Robot, published: StateSpace, q0: np.ndarray, count: int) -> StateSpace:
     """Return the design that solves the most training goals, of `count` designs at random configurations."""
     designs = [theory(robot, published, q) for q in robot.random_q(np.random.default_rng(90), count)]
-    cost = _cost(robot, q0)
-    return min(designs, key=cost)
+    return min(designs, key=_cost(robot, q0))
 
 
 def margin_gain(robot: Robot) -> float:
@@ -118,10 +116,9 @@ def search(robot: Robot, space: Space, q0: np.ndarray, method: type[Swarm] | typ
 def _cost(robot: Robot, q0: np.ndarray) -> Any:
     """Return a function for the cost of a solver: share of the training goals missed, and a tenth of how far."""
     train = sample_targets(robot, GOALS, [90, 1], position_only=True)
-    options: dict[str, Any] = {**PAPER_OPTIONS, "max_iterations": SEARCH_STEPS}
 
     def cost(rule: StateSpace) -> float:
-        made = solve_batch(robot, train, rule, q0=q0, check=0.0, **options)
+        made = attempt(robot, train, rule, q0, max_iterations=SEARCH_STEPS)
         off = np.minimum(made.position_error[~made.success] / robot.chain.scale, 1.0)
         return float((~made.success).sum() + 0.1 * off.sum()) / GOALS
 

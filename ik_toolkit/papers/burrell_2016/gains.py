@@ -16,17 +16,14 @@ from ...solvers.solve import Solver
 from ...study.targets import sample_targets
 from ..report import Report
 from .figures import draw_existence, draw_gains
-from .published import PAPER_OPTIONS, TO_PAPER
+from .published import PAPER_OPTIONS, TO_PAPER, attempt
 
 # Values of the proportional gain K_p that are compared [degrees per mm].
 GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
 EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
 # A tuning is poor with so few successes of 1000: the paper says "say 20 % of reachable points" in section 4.
 POOR = 200.0
-CANDIDATES, MATCHES = (
-    200_000,
-    40,
-)  # number of random goals for Fig. 4, and number of the best of them that are tried at every gain
+CANDIDATES, MATCHES = 200_000, 40  # random goals for Fig. 4, and the best of them, which are tried at every gain
 
 
 def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: Any) -> None:
@@ -34,14 +31,11 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
     report.heading("IK-PID: poorly tuned, and at the edge of the workspace")
     sets = [sample_targets(robot, 1000, k, position_only=True) for k in seeds]
     swept = {
-        name: [_solved(robot, sets[0], PID(kp=kp, units="mm-deg"), q0).sum() for kp in GAINS]
+        name: [int(attempt(robot, sets[0], PID(kp=kp, units="mm-deg"), q0).success.sum()) for kp in GAINS]
         for name, q0 in starts.items()
     }
-    report.table(
-        "gain_sweep",
-        ["K_p (K_i = K_d = 0), of 1000", *(f"{kp:g}" for kp in GAINS)],
-        [[f"start {name}", *(int(x) for x in row)] for name, row in swept.items()],
-    )
+    head = ["K_p (K_i = K_d = 0), of 1000", *(f"{kp:g}" for kp in GAINS)]
+    report.table("gain_sweep", head, [[f"start {name}", *row] for name, row in swept.items()])
     low = [float(np.interp(POOR, row[:3], GAINS[:3])) for row in swept.values() if row[0] < POOR]
     high = [float(np.interp(-POOR, -np.array(row[6:]), GAINS[6:])) for row in swept.values()]
     report.number("kp_at_20_percent", {"too small": low, "too large": high})
@@ -52,13 +46,13 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
         mm, where the steps are too long to settle.{small} From 0.005 to 0.01 it is above 98 % from every start: trial and
         error, as in the paper, had a wide range to find."""
     )
-    report.figure("gains.png", "IK-PID with K_p alone: goals of 1000 reached, over the gain", draw_gains(GAINS, swept))
+    report.figure("gains.png", "IK-PID with K_p alone: goals of 1000 reached, over the gain", draw_gains, GAINS, swept)
     _edge(report, robot, np.concatenate(sets), starts["mid-range"])
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
     """Add a table of the distances from the workspace's edge, of goals that the published gains miss and of goals they reach."""
-    good = _solved(robot, points, PID.preset("burrell-2016"), q0)
+    good = attempt(robot, points, PID.preset("burrell-2016"), q0).success
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
     distances = {"lost": edge_distance(robot, lost), "reached": edge_distance(robot, reached)}
@@ -92,10 +86,6 @@ def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
     return found
 
 
-def _solved(robot: Robot, points: np.ndarray, rule: Any, q0: np.ndarray) -> np.ndarray:
-    return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS).success
-
-
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves like the paper's, from q0 (n,)."""
     report.heading("Fig. 4: the gain K_p on one goal")
@@ -105,8 +95,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     published = StateSpace.preset("burrell-2016")
 
     def batch(points: np.ndarray, kp: float) -> BatchResult:
-        rule = PID(kp=kp, units="mm-deg")
-        return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
+        return attempt(robot, points, PID(kp=kp, units="mm-deg"), q0)
 
     # As for the paper's goal, a candidate must be reached at the gain 0.0847, but not at 0.0848.
     # The goals that pass are compared with the paper at a coarse grid of gains, and the best of them at every gain.
@@ -133,8 +122,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     sweep = np.round(np.arange(0.001, 0.3001, 0.001), 4)
     ends = 1000.0 * np.array([batch(found[None], float(kp)).position_error[0] for kp in sweep])
     report.number("fig4_sweep", {"kp": sweep, "error_mm": ends})
-    runs = {}
-    rows = []
+    runs, rows = {}, []
     for kp, said in ((0.0848, "fails: joints at limits, stalls"), (0.0847, "reached"), (0.02, "reached, slower")):
         solver = Solver(robot, PID(kp=kp, units="mm-deg"), history=True, **PAPER_OPTIONS)
         run = solver(found, q0=q0)
@@ -152,11 +140,10 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         succeed, and {int(lost[best])} of the {len(below)} below fail. Paper frame, mm:
         ({where[0]:.1f}, {where[1]:.1f}, {where[2]:.1f}); start clipped zero, joints tip first."""
     )
-    report.figure(
-        "fig4.png",
-        "Fig. 4 redrawn at the existence goal, K_i = K_d = 0: errors of IK-PID, and the remaining error over the gains",
-        draw_existence(runs, sweep, ends),
+    caption = (
+        "Fig. 4 redrawn at the existence goal, K_i = K_d = 0: errors of IK-PID, and the remaining error over the gains"
     )
+    report.figure("fig4.png", caption, draw_existence, runs, sweep, ends)
     return found
 
 

@@ -5,14 +5,13 @@ decommissioning robot", IFAC-PapersOnLine 49-21 (2016). The paper's frame is Rx(
 right); its errors are in mm and its increments in degrees. The start, the goals and the tuned matrices are unpublished.
 """
 
-import importlib.util
 import math
 from typing import Any
 
 import numpy as np
 
 from ...errors import IKError
-from ...robot.formats.dh import dh_fk, read_dh_table
+from ...robot.formats.dh import dh_fk
 from ...robot.library import find
 from ...robot.robot import Robot
 from ...solvers.batch.solve_batch import solve_batch
@@ -21,13 +20,14 @@ from ...solvers.rules.pid import PID
 from ...solvers.rules.state_space import StateSpace
 from ...solvers.solve import Solver
 from ...study import singularity
+from ...study.engines import make_space
 from ...study.targets import sample_targets
 from ...study.tune import score
-from ..report import Report, cell
+from ..report import Report, cell, shipped_table
 from .design import design
 from .figures import draw_planar, draw_reach, draw_response, draw_workspace
 from .gains import existence, gains
-from .published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
+from .published import MISPRINTS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER, attempt
 from .solutions import solutions
 from .speed import speed
 from .stability import stability
@@ -59,15 +59,12 @@ def undelayed(rule: StateSpace) -> StateSpace:
 
 def planar_rule(B: Any) -> StateSpace:
     """Return the state-space solver of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) with a column each for x and y."""
-    return StateSpace(
-        A=-0.5 * np.eye(3), B=np.column_stack([np.asarray(B, dtype=float), np.zeros(3)]), C=-0.05 * np.eye(3)
-    )
+    return StateSpace(A=-0.5 * np.eye(3), B=np.column_stack([B, np.zeros(3)]), C=-0.05 * np.eye(3))
 
 
 def counts(robot: Robot, rule: Any, q0: np.ndarray | None = None, seeds: Any = SEEDS, **options: Any) -> list[int]:
     """Count the successes of 1000 goals for each seed, with PAPER_OPTIONS unless other options are given."""
-    options = {**PAPER_OPTIONS, **options}
-    return [int(solve_batch(robot, goals(robot, k), rule, q0=q0, check=0.0, **options).success.sum()) for k in seeds]
+    return [int(attempt(robot, goals(robot, k), rule, q0, **options).success.sum()) for k in seeds]
 
 
 def reproduce(seeds: int = 10) -> Report:
@@ -103,22 +100,20 @@ def reproduce(seeds: int = 10) -> Report:
 def _model(report: Report, robot: Robot) -> None:
     report.heading("Tables I and III as loaded")
     rng = np.random.default_rng(1)
-    for key, name, printed, scale in (
-        ("table_1", "hydrolek_7w", TABLE_1, 1000.0),
-        ("table_3", "planar_3r", TABLE_3, 1.0),
+    for key, arm, printed, scale in (
+        ("table_1", robot, TABLE_1, 1000.0),
+        ("table_3", Robot.load("planar_3r"), TABLE_3, 1.0),
     ):
-        arm = robot if name == robot.name else Robot.load(name)
-        folder = find(name).path
-        assert folder is not None
-        table = read_dh_table(folder.parent / "dh" / f"{name}.toml")
+        name = arm.name
+        table = shipped_table(name)
         rows = []
         for i, (row, joint) in enumerate(zip(printed, table.rows, strict=True)):
             turns = (joint.theta, joint.alpha, arm.lower[i], arm.upper[i])
             theta, alpha, low, high = (math.degrees(x) for x in turns)
             ours = [theta, joint.d * scale, joint.a * scale, alpha, low, high]
             rows.append([i + 1, *(f"{a:g} / {round(b, 6) + 0.0:g}" for a, b in zip(row, ours, strict=True))])
-        head = ["joint", "theta (deg)", "d", "a", "alpha (deg)", "lower (deg)", "upper (deg)"]
-        report.table(key, [f"{name}, printed / ours", *head[1:]], rows)
+        head = ["theta (deg)", "d", "a", "alpha (deg)", "lower (deg)", "upper (deg)"]
+        report.table(key, [f"{name}, printed / ours", *head], rows)
         Q = np.array([arm.random_q(rng) for _ in range(50)])
         off = max(np.abs(dh_fk(table, q) - arm.fk(q).homogeneous).max() for q in Q)
         report.number(f"{key}_fk_difference", float(off))
@@ -153,22 +148,18 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
         solved goals may differ on another processor."""
     )
     report.heading("Beyond the paper: tuned, on the same goals")
-    sets = [goals(robot, k) for k in seeds]
+    sets, tuned = [goals(robot, k) for k in seeds], StateSpace.preset
     rows = []
     for name, said, rule in (
         ("state space, 90 numbers tuned by a particle swarm (paper; ours below)", "993, about 350 iterations", None),
         ("state space without gains: 128 designed maps, feedthrough", "-", StateSpace()),
-        (
-            "state space, one map and start tuned from the published gains",
-            "-",
-            StateSpace.preset("hydrolek-7w-one-map"),
-        ),
+        ("state space, one map and start tuned from the published gains", "-", tuned("hydrolek-7w-one-map")),
         (
             "state space, A = a I, C and delay as published, 32 starts tuned, each with its B",
             "-",
-            StateSpace.preset("hydrolek-7w-delayed"),
+            tuned("hydrolek-7w-delayed"),
         ),
-        ("state space, feedthrough, 32 starts tuned, each with its map", "-", StateSpace.preset("hydrolek-7w")),
+        ("state space, feedthrough, 32 starts tuned, each with its map", "-", tuned("hydrolek-7w")),
         ("IK-PID without gains", "-", PID()),
         ("IK-PID tuned, with start", "994 (by hand)", PID.preset("hydrolek-7w")),
         ("J+ from home", "-", "pinv"),
@@ -179,11 +170,9 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
             continue
         options = {} if rule == "lm" else {"max_iterations": 1000}
         one = score(robot, rule, sets, tolerance=1e-3, **options)
-        low, high = one.interval
+        low, high = (f"{1000 * x:.1f}" for x in one.interval)
         spread = f"{min(one.successes)}-{max(one.successes)}"
-        rows.append(
-            [name, said, f"{1000 * one.share:.1f}", f"{1000 * low:.1f}-{1000 * high:.1f}", spread, one.iterations]
-        )
+        rows.append([name, said, f"{1000 * one.share:.1f}", f"{low}-{high}", spread, one.iterations])
         report.number(f"tuned {name}", one.to_dict())
     head = ["solver", "published", "ours, mean of 1000", "95 % Wilson", "min-max", "mean iterations"]
     report.table("tuned", head, rows)
@@ -200,25 +189,21 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
 def _responses(report: Report, robot: Robot, goal: np.ndarray, seeds: Any) -> None:
     report.heading("Figs. 5 and 6")
     q0 = starts(robot)["clipped zero"]
+    solvers = {
+        "published A, B, C": StateSpace.preset("burrell-2016"),
+        "one map tuned": StateSpace.preset("hydrolek-7w-one-map"),
+        "32 maps tuned": StateSpace.preset("hydrolek-7w"),
+    }
+    published = solvers["published A, B, C"]
     curves = {}
-    for name, preset, start in (
-        ("published A, B, C", "burrell-2016", q0),
-        ("one map tuned", "hydrolek-7w-one-map", None),
-        ("32 maps tuned", "hydrolek-7w", None),
-    ):
-        solver = Solver(robot, StateSpace.preset(preset), history=True)
-        run = solver(goal, q0=start)
+    for name, rule in solvers.items():
+        run = Solver(robot, rule, history=True)(goal, q0=q0 if rule is published else None)
         assert run.history is not None
         curves[name] = 1000.0 * run.history["position_error"]
-    report.table(
-        "fig5",
-        ["solver at the existence goal", "published iterations", "ours"],
-        [
-            [name, said, len(curve) - 1]
-            for (name, curve), said in zip(curves.items(), ("~100", "~350 (PSO)", "-"), strict=True)
-        ],
-    )
-    every = [solve_batch(robot, goals(robot, k), StateSpace.preset("burrell-2016"), q0=q0, check=0.0) for k in seeds]
+    counted = zip(curves.items(), ("~100", "~350 (PSO)", "-"), strict=True)
+    rows = [[name, said, len(curve) - 1] for (name, curve), said in counted]
+    report.table("fig5", ["solver at the existence goal", "published iterations", "ours"], rows)
+    every = [solve_batch(robot, goals(robot, k), published, q0=q0, check=0.0) for k in seeds]
     steps = np.concatenate([one.iterations[one.success] for one in every])
     low, middle, high = np.percentile(steps, (5, 50, 95))
     about = 100.0 * ((steps >= 80) & (steps <= 120)).mean()
@@ -229,23 +214,12 @@ def _responses(report: Report, robot: Robot, goal: np.ndarray, seeds: Any) -> No
         from clipped zero the median is {middle:.0f} (5 to 95 %: {low:.0f} to {high:.0f}), and {about:.2g} % take 80 to 120. This
         is the only published number that, read in mm and degrees, fits only special goals."""
     )
-    report.figure(
-        "fig5.png", "Fig. 5 redrawn at the existence goal: error of the state-space solver", draw_response(curves)
-    )
-    points = np.concatenate([goals(robot, k) for k in seeds[:1]])
-    maps = {
-        name: solve_batch(robot, points, StateSpace.preset(preset), check=0.0).success
-        for name, preset in (
-            ("published A, B, C", "burrell-2016"),
-            ("one map tuned", "hydrolek-7w-one-map"),
-            ("32 maps tuned", "hydrolek-7w"),
-        )
-    }
-    report.figure(
-        "fig6.png",
-        "Fig. 6 redrawn: 1000 goals in the paper's frame; circles are goals the state-space solver did not reach",
-        draw_workspace(1000.0 * points @ TO_PAPER.T, maps),
-    )
+    caption = "Fig. 5 redrawn at the existence goal: error of the state-space solver"
+    report.figure("fig5.png", caption, draw_response, curves)
+    points = goals(robot, seeds[0])
+    maps = {name: solve_batch(robot, points, rule, check=0.0).success for name, rule in solvers.items()}
+    caption = "Fig. 6 redrawn: 1000 goals in the paper's frame; circles are goals the state-space solver did not reach"
+    report.figure("fig6.png", caption, draw_workspace, 1000.0 * points @ TO_PAPER.T, maps)
 
 
 def _planar(report: Report, seeds: Any) -> None:
@@ -254,25 +228,25 @@ def _planar(report: Report, seeds: Any) -> None:
     q0, target = np.zeros(3), np.array([5.0, 0.0, 0.0])
     J = robot.jacobian(q0)[:2]
     report.number("planar_jacobian", J)
-    runs = {}
-    rows = []
-    solvers = [("J+", "pinv"), ("J^T", "transpose"), ("DLS", "dls"), ("LM", "lm"), ("CCD", "ccd"), ("IK-PID", "pid")]
+    runs, rows = {}, []
+    solvers: list[tuple[str, Any]] = [
+        ("J+", "pinv"),
+        ("J^T", "transpose"),
+        ("DLS", "dls"),
+        ("LM", "lm"),
+        ("CCD", "ccd"),
+        ("IK-PID", "pid"),
+    ]
     solvers += [(f"state space, B = {B}", planar_rule(B)) for B in PLANAR_B]
     points = np.concatenate([goals(robot, k) for k in seeds])
     options: dict[str, Any] = {"tolerance": 0.02, "max_iterations": 2000}
     spread = singularity.escapes(robot, points, [rule for _, rule in solvers], q0, **options)
     for (name, rule), over in zip(solvers, spread, strict=True):
-        run = singularity.run(robot, target, rule, q0, **options)
-        runs[name] = run
+        run = runs[name] = singularity.run(robot, target, rule, q0, **options)
         said = "stands still" if name == "J^T" else "(47.6, -60.0, -18.8)" if name == solvers[6][0] else "-"
         end = ", ".join(f"{x:.2f}" for x in np.degrees(run.q[-1]))
-        ours = (
-            "stands still"
-            if run.stands_still
-            else f"({end}) in {run.iterations}"
-            if run.success
-            else run.status.lower()
-        )
+        ours = f"({end}) in {run.iterations}" if run.success else run.status.lower()
+        ours = "stands still" if run.stands_still else ours
         share, moved = 1000.0 * over.solved / over.targets, 1000.0 * over.solved_offset / over.targets
         rows.append([name, said, ours, f"{share:.0f}", f"{moved:.0f}", over.iterations])
     head = [
@@ -302,18 +276,16 @@ def _planar(report: Report, seeds: Any) -> None:
         "ours, state space": runs[solvers[6][0]].q[-1],
         "start, where J^T stays": q0,
     }
+    caption = (
+        "Fig. 7 redrawn: the published configuration and that of the state-space solver coincide; grey: within reach"
+    )
     report.figure(
-        "fig7.png",
-        "Fig. 7 redrawn: the published configuration and that of the state-space solver coincide; grey: within reach",
-        draw_reach(reach, {name: _planar_joints(q) for name, q in ends.items()}, (5.0, 0.0)),
+        "fig7.png", caption, draw_reach, reach, {name: _planar_joints(q) for name, q in ends.items()}, (5.0, 0.0)
     )
     beside = singularity.run(robot, target, "dls", q0 + 1e-6 * np.array([1.0, -0.5, 0.7]), **options)
     report.number("dls_from_1e-6", {"success": beside.success, "iterations": beside.iterations})
-    report.figure(
-        "singularity.png",
-        "Target (5, 0) from the straight arm: error and manipulability along the runs; a method that stands still is a point",
-        draw_planar({**runs, "DLS, start moved 1e-6": beside}),
-    )
+    caption = "Target (5, 0) from the straight arm: error and manipulability along the runs; a method that stands still is a point"
+    report.figure("singularity.png", caption, draw_planar, {**runs, "DLS, start moved 1e-6": beside})
 
 
 def _planar_joints(q: np.ndarray, link: float = 2.0) -> np.ndarray:
@@ -324,12 +296,11 @@ def _planar_joints(q: np.ndarray, link: float = 2.0) -> np.ndarray:
 
 def _other_robots(report: Report) -> None:
     report.heading("Robots the paper did not tune for")
-    if importlib.util.find_spec("example_robot_data") is None:
-        try:
-            find("ur5")
-        except IKError:
-            report.text("Left out: this needs the robots of example-robot-data (`pip install example-robot-data`).")
-            return
+    try:
+        find("ur5")
+    except IKError:
+        report.text("Left out: this needs the robots of example-robot-data (`pip install example-robot-data`).")
+        return
     rows = []
     for name, tip in (("ur5", "tool0"), ("panda", "panda_hand_tcp")):
         robot = Robot.load(name, tip=tip)
@@ -340,7 +311,7 @@ def _other_robots(report: Report) -> None:
             one = {"max_iterations": 500, "restarts": 0, "tolerance": 1e-3}
             for label, rule, options in (
                 ("IK-PID, no gains given", "pid", one),
-                ("state space, one designed map from home", _one_map(robot, position), one),
+                ("state space, one designed map from home", make_space(robot, "state-space", position, 1).initial, one),
                 ("state space, 128 designed maps", "state-space", one),
                 ("state space, 32 tuned maps", StateSpace.preset(tuned), one),
                 ("IK-PID, tuned", PID.preset(tuned), one),
@@ -349,10 +320,8 @@ def _other_robots(report: Report) -> None:
                 ("LM with restarts", "lm", {"tolerance": 1e-3}),
             ):
                 found = score(robot, rule, sets, **options)
-                low, high = found.interval
-                rows.append(
-                    [name, task, label, 1000 * found.share, f"{1000 * low:.0f}-{1000 * high:.0f}", found.iterations]
-                )
+                low, high = (f"{1000 * x:.0f}" for x in found.interval)
+                rows.append([name, task, label, 1000 * found.share, f"{low}-{high}", found.iterations])
     head = ["robot", "task", "solver", "solved of 1000", "95 % Wilson", "mean iterations"]
     report.table("other_robots", head, rows)
     report.text(
@@ -364,13 +333,6 @@ def _other_robots(report: Report) -> None:
         For full poses static maps miss many goals that LM solves, tuned or not: they do not replace it there. IK-PID needs no
         gains for positions; for poses tuning helps it on the Panda and hardly on the UR5."""
     )
-
-
-def _one_map(robot: Robot, position_only: bool) -> StateSpace:
-    """Return a solver of the published structure (one set of gains), designed for a robot at its home."""
-    from ...study.engines import make_space
-
-    return make_space(robot, "state-space", position_only, 1).initial
 
 
 def _misprints(report: Report) -> None:

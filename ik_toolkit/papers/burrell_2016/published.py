@@ -5,6 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from ...robot.robot import Robot
+from ...solvers.batch.result import BatchResult
+from ...solvers.batch.solve_batch import solve_batch
+
 # Rotation from the axes of base_link to those of the paper.
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # Tolerance [m] and iteration limit are our choice; the paper gives neither.
@@ -60,3 +64,8 @@ MISPRINTS = (  # place in the paper, problem, and the correction that is used he
     ("section 1", "six joints 'hence redundant'", "redundant for positions only"),
     ("conclusion", "'improved robustness against singularities'", "one planar goal; see section 6.4"),
 )
+
+
+def attempt(robot: Robot, goals: np.ndarray, rule: Any, q0: np.ndarray | None, **options: Any) -> BatchResult:
+    """Solve goals (N, 3) [m] from q0 (n,), None for the solver's own start, with PAPER_OPTIONS unless others are given."""
+    return solve_batch(robot, goals, rule, q0=q0, check=0.0, **PAPER_OPTIONS | options)

@@ -4,7 +4,6 @@ import numpy as np
 
 from ...robot.robot import Robot
 from ...solvers.batch.result import BatchResult
-from ...solvers.batch.solve_batch import solve_batch
 from ...solvers.rules.pid import PID
 from ...solvers.rules.pid import UNITS as PID_UNITS
 from ...solvers.rules.state_space import StateSpace
@@ -12,7 +11,7 @@ from ...study.analyse import LoopAnalysis, analyse, gain_margins
 from ...study.benchmark import wilson
 from ..report import Report
 from .figures import draw_stability
-from .published import PAPER_OPTIONS
+from .published import attempt
 
 SETTLED = 1e-6  # [rad] A run ended in the affine subspace q0 + S w (its "slice") if its distance from it is below this.
 NEAR = 1e-9  # [rad] A joint nearer to a limit than this counts as at the limit.
@@ -24,7 +23,7 @@ KP = (
     0.12,
     0.15,
     0.2,
-)  # gains [degrees per mm] at which the margins of IK-PID are compared with runs
+)  # gains [degrees per mm] at which margins of IK-PID are compared with runs
 
 
 def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets: list[np.ndarray]) -> None:
@@ -33,11 +32,7 @@ def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets:
     rule = StateSpace.preset("burrell-2016")
     found = analyse(robot, rule)
     goals = np.concatenate(sets)
-    rows, runs = [], {}
-    for name, q0 in starts.items():
-        run = solve_batch(robot, goals, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
-        runs[name] = run
-        rows.append([name, *outcomes(found, run, goals, q0)])
+    rows = [[name, *outcomes(found, attempt(robot, goals, rule, q0), goals, q0)] for name, q0 in starts.items()]
     head = ["start", "solved", "failed at a limit", "solved at a limit", "solved on the slice", "foretold"]
     report.table("stability", [f"{head[0]} ({len(goals)} goals)", *(f"{name} (%)" for name in head[1:])], rows)
     low, high = wilson(int(found.stable.sum()), len(found.q))
@@ -67,12 +62,11 @@ def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets:
         middle of these margins. The margin is a bound for small errors in the worst direction: some goals below it are solved,
         because the error arrives from another direction, and some above it are lost far from the solution."""
     )
-    report.figure(
-        "stability.png",
+    caption = (
         "Left: loop gain of the published A, B, C at random configurations. Right: share of goals with a gain margin above K_p, "
-        "and goals solved",
-        draw_stability(found.loop_gain, found.gain_bound or np.inf, margins, swept),
+        "and goals solved"
     )
+    report.figure("stability.png", caption, draw_stability, found.loop_gain, found.gain_bound or np.inf, margins, swept)
 
 
 def outcomes(found: LoopAnalysis, run: BatchResult, goals: np.ndarray, q0: np.ndarray) -> list[float]:
@@ -90,7 +84,7 @@ def margin_sweep(robot: Robot, goals: np.ndarray, q0: np.ndarray) -> tuple[np.nd
     """
 
     def runs(kp: float) -> BatchResult:
-        return solve_batch(robot, goals, PID(kp=kp, units="mm-deg"), q0=q0, check=0.0, **PAPER_OPTIONS)
+        return attempt(robot, goals, PID(kp=kp, units="mm-deg"), q0)
 
     slow = runs(0.01)
     margins = gain_margins(robot, slow.q[slow.success]) / PID_UNITS["mm-deg"]

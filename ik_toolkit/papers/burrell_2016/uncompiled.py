@@ -11,11 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...kernel.algebra import V3, Sym3
-from ...robot.formats.dh import read_dh_table
-from ...robot.library import find
 from ...robot.robot import Robot
 from ...solvers.protocol import Asked, rule
 from ...solvers.rules.state_space import StateSpace
+from ..report import shipped_table
 
 LIMIT = 1000  # highest number of iterations
 # Least det(JJ') over (trace / 3)^3: below it the condition number of J is above about 1e4, and the inverse inaccurate.
@@ -58,9 +57,7 @@ class Interpreted:
 
     def __init__(self, robot: Robot) -> None:
         """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with a single start."""
-        path = find(robot.name).path
-        assert path is not None
-        rows = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows
+        rows = shipped_table(robot.name).rows
         self.joints = [(row.theta, row.d, row.a, math.cos(row.alpha), math.sin(row.alpha)) for row in rows]
         self.lower, self.upper = robot.lower, robot.upper
         tuned = StateSpace.preset("hydrolek-7w-one-map")

@@ -1,16 +1,13 @@
 """Figures of the report on Chinyai: the outcome of Newton's iteration over targets and over starts."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...style import COLOURS
 from ..report import cell
-from .formulas import closed_form
-
-KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # variants of Newton's step: full, line search, LM, limited
+from .formulas import LEVENBERG, LIMIT, NO_CLIP, PLAIN, SEARCH, STEP, closed_form, converge
 
 
 def outcomes(rows: np.ndarray) -> np.ndarray:
@@ -42,66 +39,51 @@ def grid(count: int) -> np.ndarray:
     return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
-def target_basins(converge: Callable, limit: float, shares: dict[str, float]) -> Any:
+def target_basins(plt: Any, shares: dict[str, float]) -> Any:
     """Draw the outcome for all targets from the start (45, 90) degrees.
 
-    limit: joint limit [rad] of the clipped variant; shares: solved targets [%] in the table of convergence, by its columns.
+    shares: solved targets [%] in the table of convergence, by its columns.
     """
-
-    def draw(plt: Any) -> Any:
-        side = np.linspace(-2.0, 2.0, 401)
-        x, y = np.meshgrid(side, side)
-        X = np.column_stack([x.ravel(), y.ravel()])
-        inside = np.hypot(*X.T) <= 2.0
-        start = np.radians((45.0, 90.0))
-        panels = [
-            ("plain Newton", "plain", "plain", 1e9),
-            ("steps of at most 0.5 rad", "step", "step", 1e9),
-            ("Levenberg-Marquardt", "LM", "LM", 1e9),
-            ("plain, clipped at 150 deg", "plain + clip", "plain", limit),
-        ]
-        figure, axes = plt.subplots(1, 4, figsize=(10.5, 3.3), layout="constrained", sharey=True)
-        for axis, (title, column, kind, clip) in zip(axes, panels, strict=True):
-            picture = np.full(len(X), np.nan)
-            rows = converge(X[inside], 1.0, 1.0, start, KINDS[kind], clip)
-            picture[inside] = outcomes(rows)
-            _image(axis, plt, picture.reshape(x.shape), 2.0)
-            axis.add_patch(plt.Circle((0, 0), 2.0, fill=False, ec="0.3", lw=0.8))
-            elbow = (math.cos(start[0]), math.sin(start[0]))
-            hand = (elbow[0] + math.cos(start.sum()), elbow[1] + math.sin(start.sum()))
-            axis.plot(*np.array([(0, 0), elbow, hand]).T, color="black", lw=2.2, marker="o", ms=3.5, mfc="white")
-            axis.set_title(f"{title}:\n{cell(shares[column])} %")
-            axis.set(xlabel="x (m)")
-        axes[0].set_ylabel("y (m)")
-        _legend(figure, plt)
-        return figure
-
-    return draw
+    side = np.linspace(-2.0, 2.0, 401)
+    x, y = np.meshgrid(side, side)
+    X = np.column_stack([x.ravel(), y.ravel()])
+    inside = np.hypot(*X.T) <= 2.0
+    start = np.radians((45.0, 90.0))
+    panels = [
+        ("plain Newton", "plain", PLAIN, NO_CLIP),
+        ("steps of at most 0.5 rad", "step", STEP, NO_CLIP),
+        ("Levenberg-Marquardt", "LM", LEVENBERG, NO_CLIP),
+        ("plain, clipped at 150 deg", "plain + clip", PLAIN, LIMIT),
+    ]
+    figure, axes = plt.subplots(1, 4, figsize=(10.5, 3.3), layout="constrained", sharey=True)
+    for axis, (title, column, kind, clip) in zip(axes, panels, strict=True):
+        picture = np.full(len(X), np.nan)
+        rows = converge(X[inside], 1.0, 1.0, start, kind, clip)
+        picture[inside] = outcomes(rows)
+        _image(axis, plt, picture.reshape(x.shape), 2.0)
+        axis.add_patch(plt.Circle((0, 0), 2.0, fill=False, ec="0.3", lw=0.8))
+        elbow = (math.cos(start[0]), math.sin(start[0]))
+        hand = (elbow[0] + math.cos(start.sum()), elbow[1] + math.sin(start.sum()))
+        axis.plot(*np.array([(0, 0), elbow, hand]).T, color="black", lw=2.2, marker="o", ms=3.5, mfc="white")
+        axis.set_title(f"{title}:\n{cell(shares[column])} %")
+        axis.set(xlabel="x (m)")
+    axes[0].set_ylabel("y (m)")
+    _legend(figure, plt)
+    return figure
 
 
-def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
+def start_basins(plt: Any, target: tuple[float, float]) -> Any:
     """Draw the outcome for one target from all starting angles."""
-    kinds = (("plain Newton", "plain"), ("with step halving", "search"), ("Levenberg-Marquardt", "LM"))
-
-    def draw(plt: Any) -> Any:
-        starts = grid(481)
-        panels = {}
-        for title, kind in kinds:
-            rows = converge(np.tile(target, (len(starts), 1)), 1.0, 1.0, starts, KINDS[kind])
-            good = rows[:, 2] >= 0
-            panels[f"{title}:\n{cell(100 * np.mean(good))} %, mean {rows[good, 2].mean():.1f} steps"] = outcomes(rows)
-        return _over_starts(plt, panels, target)
-
-    return draw
+    starts, panels = grid(481), {}
+    for title, kind in (("plain Newton", PLAIN), ("with step halving", SEARCH), ("Levenberg-Marquardt", LEVENBERG)):
+        rows = converge(np.tile(target, (len(starts), 1)), 1.0, 1.0, starts, kind)
+        good = rows[:, 2] >= 0
+        panels[f"{title}:\n{cell(100 * np.mean(good))} %, mean {rows[good, 2].mean():.1f} steps"] = outcomes(rows)
+    return over_starts(plt, panels, target)
 
 
-def proven_basins(panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
-    """Draw what is proven over all starting angles: panels has outcomes by title, as `outcomes` returns, plus 2 if unproven."""
-    return lambda plt: _over_starts(plt, panels, target)
-
-
-def _over_starts(plt: Any, panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
-    """Draw pictures of the starting angles, flat arrays of `_image` by title, with both solutions of a target marked."""
+def over_starts(plt: Any, panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
+    """Draw outcomes over all starting angles, flat arrays of `_image` by title, with both solutions of a target marked."""
     figure, axes = plt.subplots(1, len(panels), figsize=(10.5, 4.1), layout="constrained", sharey=True)
     for axis, (title, picture) in zip(axes, panels.items(), strict=True):
         _image(axis, plt, picture.reshape(math.isqrt(len(picture)), -1), 180.0)

@@ -5,7 +5,8 @@ The paper claims that Newton-Raphson is faster than the closed form on a planar 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,26 +18,8 @@ from ...text import angle as in_words
 from ...text import figure
 from ..report import Report, cell
 from ..timing import Work, rounds, spread
-from .figures import grid, outcomes, proven_basins, start_basins, target_basins
-from .formulas import (
-    ITERATIONS,
-    LEVENBERG,
-    LIMIT,
-    LONGEST,
-    NO_CLIP,
-    PLAIN,
-    SEARCH,
-    STEP,
-    TOLERANCE,
-    closed_form,
-    closed_form_all,
-    closed_form_numpy,
-    converge,
-    newton,
-    newton_all,
-    newton_numpy,
-    targets,
-)
+from . import formulas as planar
+from .figures import grid, outcomes, over_starts, start_basins, target_basins
 
 ROUNDS = 15
 
@@ -75,47 +58,29 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
 def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
     report.heading("The closed form as printed")
     l1, l2 = 1.0, 0.8
-    X = targets(rng, count, l1, l2)
+    X = planar.targets(rng, count, l1, l2)
     x, y = X.T
     c2 = np.clip((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1)
     rows = []
 
-    def correct(theta_1: np.ndarray, theta_2: np.ndarray) -> float:
-        reached = np.column_stack(
-            [
-                l1 * np.cos(theta_1) + l2 * np.cos(theta_1 + theta_2),
-                l1 * np.sin(theta_1) + l2 * np.sin(theta_1 + theta_2),
-            ]
-        )
-        return 100.0 * float(np.mean(np.linalg.norm(reached - X, axis=1) < 1e-9))
-
     for sign, name in ((-1.0, "upper"), (1.0, "lower")):
         t2 = sign * np.arccos(c2)
         literal, signed = 1 - c2**2, np.sin(t2)  # Eq. (2) prints the square of the sine instead of the sine.
-        rows.append(
-            [
+        below, turned = l1 + l2 * c2, np.arctan2(l2 * signed, l1 + l2 * c2)
+        for words, t1 in (
+            (
                 f"(4), (5), {name} signs, sine as printed in (2)",
-                correct(np.arctan(y / x) + sign * np.arctan(l2 * literal / (l1 + l2 * c2)), t2),
-            ]
-        )
-        rows.append(
-            [
+                np.arctan(y / x) + sign * np.arctan(l2 * literal / below),
+            ),
+            (
                 f"(4), (5), {name} signs, sin(theta_2) with its sign",
-                correct(np.arctan(y / x) + sign * np.arctan(l2 * signed / (l1 + l2 * c2)), t2),
-            ]
-        )
-        rows.append(
-            [
-                f"the same with atan2 for both arctan, {name} signs",
-                correct(np.arctan2(y, x) + sign * np.arctan2(l2 * signed, l1 + l2 * c2), t2),
-            ]
-        )
-        rows.append(
-            [
-                f"corrected (always minus, signed sine, atan2), {name} sign of theta_2",
-                correct(np.arctan2(y, x) - np.arctan2(l2 * signed, l1 + l2 * c2), t2),
-            ]
-        )
+                np.arctan(y / x) + sign * np.arctan(l2 * signed / below),
+            ),
+            (f"the same with atan2 for both arctan, {name} signs", np.arctan2(y, x) + sign * turned),
+            (f"corrected (always minus, signed sine, atan2), {name} sign of theta_2", np.arctan2(y, x) - turned),
+        ):
+            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # x + iy
+            rows.append([words, 100.0 * float(np.mean(np.abs(reached - (x + 1j * y)) < 1e-9))])
     report.table("formulas", ["formulas", "targets reached (%)"], rows)
     report.text(
         f"{count} targets uniform over the reach of links 1 and 0.8, reached within 1e-9. In (4) and (5) only "
@@ -124,65 +89,51 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
     )
 
 
-def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
-    """Measure times [s] by implementation and start, and mean steps and converged share [%] by start."""
+def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Measure times [s] by implementation and start, and mean steps by start."""
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     fixed = np.array([[math.radians(45.0), math.radians(90.0)]])
-    X = targets(rng, 2 * n, l1, l2)
-    X = X[converge(X, l1, l2, fixed, PLAIN)[:, 2] >= 0][
-        :n
-    ]  # The others, which never converge, would take all 50 steps.
+    X = planar.targets(rng, 2 * n, l1, l2)
+    # The others, which never converge, would take all 50 steps.
+    X = X[planar.converge(X, l1, l2, fixed, planar.PLAIN)[:, 2] >= 0][:n]
     both, out = np.empty((n, 4)), np.empty((n, 4))
-    closed_form_all(X, l1, l2, both)
+    planar.closed_form_all(X, l1, l2, both)
     starts = {"fixed": fixed}
     for name, away in (("0.01", 0.01), ("0.001", 0.001)):
         starts[name] = both[:, :2] + rng.uniform(-away, away, (n, 2))
-    python_closed = getattr(closed_form, "py_func", closed_form)
-    python_newton = getattr(newton, "py_func", newton)
-    tolerance = TOLERANCE * (l1 + l2)
-
-    def loop(function: Callable, start: np.ndarray | None, *rest: Any) -> Callable[[], None]:
-        arguments = [
-            (float(x), float(y), l1, l2, *(() if start is None else start[i % len(start)].tolist()), *rest)
-            for i, (x, y) in enumerate(X[:few])
-        ]
-
-        def run() -> None:
-            for a in arguments:
-                function(*a)
-
-        return run
-
+    python_closed = getattr(planar.closed_form, "py_func", planar.closed_form)
+    python_newton = getattr(planar.newton, "py_func", planar.newton)
+    extra = (planar.PLAIN, planar.NO_CLIP, planar.TOLERANCE * (l1 + l2), planar.ITERATIONS)
+    goals = [(x, y, l1, l2) for x, y in X[:few].tolist()]
     arm = Robot.load("planar_2r")
     tips = arm.chain.forward(np.array([arm.random_q(rng) for _ in range(few)]))[0][:, :3, 3].copy()
 
-    def calls(solver: Solver) -> Callable[[], None]:
-        def run() -> None:
-            for tip in tips:
-                solver(tip)
+    def each(function: Callable, arguments: Sequence[tuple]) -> Work:
+        def work() -> None:
+            for one in arguments:
+                function(*one)
 
-        return run
+        return work, few
 
-    extra = (PLAIN, NO_CLIP, tolerance, ITERATIONS)
     works: dict[str, Work] = {
-        "compiled, closed form": (lambda: closed_form_all(X, l1, l2, both), n),
-        "python, closed form": (loop(python_closed, None), few),
-        "numpy, closed form": (loop(closed_form_numpy, None), few),
-        "toolkit, closed form": (calls(Solver(arm, "planar-2r")), few),
-        "toolkit, fixed": (calls(Solver(arm, "newton")), few),
+        "compiled, closed form": (lambda: planar.closed_form_all(X, l1, l2, both), n),
+        "python, closed form": each(python_closed, goals),
+        "numpy, closed form": each(planar.closed_form_numpy, goals),
+        "toolkit, closed form": each(Solver(arm, "planar-2r"), [(tip,) for tip in tips]),
+        "toolkit, fixed": each(Solver(arm, "newton"), [(tip,) for tip in tips]),
     }
-    counts: dict[str, tuple[float, float]] = {}
+    steps: dict[str, float] = {}
     for name, start in starts.items():
+        from_start = [(*goal, *q) for goal, q in zip(goals, np.broadcast_to(start, (n, 2))[:few].tolist(), strict=True)]
         works[f"compiled, {name}"] = (
-            lambda start=start: newton_all(X, l1, l2, start, PLAIN, NO_CLIP, ITERATIONS, out),
+            partial(planar.newton_all, X, l1, l2, start, planar.PLAIN, planar.NO_CLIP, planar.ITERATIONS, out),
             n,
         )
-        works[f"python, {name}"] = (loop(python_newton, start, *extra), few)
-        works[f"numpy, {name}"] = (loop(newton_numpy, start), few)
-        row = converge(X, l1, l2, start, PLAIN)
-        good = row[:, 2] >= 0
-        counts[name] = (float(row[good, 2].mean()), 100.0 * float(good.mean()))
-    return rounds(works, ROUNDS), counts
+        works[f"python, {name}"] = each(python_newton, [(*one, *extra) for one in from_start])
+        works[f"numpy, {name}"] = each(planar.newton_numpy, from_start)
+        row = planar.converge(X, l1, l2, start, planar.PLAIN)
+        steps[name] = float(row[row[:, 2] >= 0, 2].mean())
+    return rounds(works, ROUNDS), steps
 
 
 def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -191,37 +142,23 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
     There is one array of ratios each for compiled code, Python, numpy, and compiled code from a warm start.
     """
     report.heading("Time per solve")
-    times, counts = _measure(rng)
-    rows = []
-    for key, label in (
-        ("compiled", "compiled (numba), both branches"),
-        ("python", "plain Python"),
-        ("numpy", "numpy, small arrays"),
-    ):
-        rows.append([label, "-", *(spread(1e6 * times[f"{key}, {name}"]) for name in ("closed form", *counts))])
-    rows.append(
-        [
-            "the toolkit's bound solvers from Python",
-            "-",
-            spread(1e6 * times["toolkit, closed form"]),
-            spread(1e6 * times["toolkit, fixed"]),
-            "-",
-            "-",
-        ]
-    )
-    report.table(
-        "time_us",
-        [
-            "implementation",
-            "published",
-            "closed form (us)",
-            "Newton, start (45, 90) deg (us)",
-            "start within 0.01 rad (us)",
-            "start within 0.001 rad (us)",
-        ],
-        rows,
-    )
-    words = "; ".join(f"{name}: {k:.1f} steps on average" for name, (k, _) in counts.items())
+    times, steps = _measure(rng)
+    labels = {
+        "compiled": "compiled (numba), both branches",
+        "python": "plain Python",
+        "numpy": "numpy, small arrays",
+        "toolkit": "the toolkit's bound solvers from Python",
+    }
+    columns = {
+        "closed form": "closed form (us)",
+        "fixed": "Newton, start (45, 90) deg (us)",
+        "0.01": "start within 0.01 rad (us)",
+        "0.001": "start within 0.001 rad (us)",
+    }
+    us = {name: spread(1e6 * values) for name, values in times.items()}
+    rows = [[label, "-", *(us.get(f"{kind}, {name}", "-") for name in columns)] for kind, label in labels.items()]
+    report.table("time_us", ["implementation", "published", *columns.values()], rows)
+    words = "; ".join(f"{name}: {k:.1f} steps on average" for name, k in steps.items())
     report.text(
         f"Median [min-max] of {ROUNDS} interleaved rounds, processor time, on this machine; links 1 "
         "and 0.8 (toolkit row: 1 and 1, from home), "
@@ -229,13 +166,9 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
         "The toolkit's row "
         "includes validation and the result object, the same for both."
     )
-    pairs = {"compiled": "fixed", "python": "fixed", "numpy": "fixed", "warm": "0.001"}
-    ratio = {}
-    for name, start in pairs.items():
-        kind = "compiled" if name == "warm" else name
-        ratio[name] = times[f"{kind}, {start}"] / times[f"{kind}, closed form"]
-    report.number("newton_over_closed_form", ratio)
-    return ratio
+    ratio = {kind: times[f"{kind}, fixed"] / times[f"{kind}, closed form"] for kind in ("compiled", "python", "numpy")}
+    ratio["warm"] = times["compiled, 0.001"] / times["compiled, closed form"]
+    return report.number("newton_over_closed_form", ratio)
 
 
 STARTS = {  # starting angles [degrees] by arm (l1, l2)
@@ -247,100 +180,89 @@ STARTS = {  # starting angles [degrees] by arm (l1, l2)
 def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
     report.heading("Where Newton converges")
     rows = []
+    variants = {
+        "plain": (planar.PLAIN, planar.NO_CLIP),
+        "search": (planar.SEARCH, planar.NO_CLIP),
+        "LM": (planar.LEVENBERG, planar.NO_CLIP),
+        "step": (planar.STEP, planar.NO_CLIP),
+        "plain + clip": (planar.PLAIN, planar.LIMIT),
+        "step + clip": (planar.STEP, planar.LIMIT),
+    }
     for (l1, l2), starts in STARTS.items():
-        X = targets(rng, count, l1, l2)
+        X = planar.targets(rng, count, l1, l2)
         for start in starts:
-            q0 = np.radians(start)
-            row: list[Any] = [f"{l1:g}, {l2:g}", f"{start[0]:g}, {start[1]:g}"]
-            for kind, clip in (
-                (PLAIN, NO_CLIP),
-                (SEARCH, NO_CLIP),
-                (LEVENBERG, NO_CLIP),
-                (STEP, NO_CLIP),
-                (PLAIN, LIMIT),
-                (STEP, LIMIT),
-            ):
-                row.append(100.0 * float(np.mean(converge(X, l1, l2, q0, kind, clip)[:, 2] >= 0)))
-            rows.append(row)
-    head = ["l1, l2", "start (deg)", "plain", "search", "LM", "step", "plain + clip", "step + clip"]
-    report.table("convergence", head, rows)
-    (drawn,) = (row for row in rows if row[:2] == ["1, 1", "45, 90"])
-    X = targets(rng, count, 1.0, 1.0)
+            ends = {name: planar.converge(X, l1, l2, np.radians(start), *how)[:, 2] for name, how in variants.items()}
+            solved = {name: 100.0 * float(np.mean(steps >= 0)) for name, steps in ends.items()}
+            rows.append({"l1, l2": f"{l1:g}, {l2:g}", "start (deg)": f"{start[0]:g}, {start[1]:g}", **solved})
+    report.records("convergence", rows)
+    (drawn,) = (row for row in rows if row["l1, l2"] == "1, 1" and row["start (deg)"] == "45, 90")
+    X = planar.targets(rng, count, 1.0, 1.0)
     both = np.empty((count, 4))
-    closed_form_all(X, 1.0, 1.0, both)
+    planar.closed_form_all(X, 1.0, 1.0, both)
     both = np.remainder(both + math.pi, 2 * math.pi) - math.pi
-    legal = (np.abs(both[:, :2]).max(axis=1) <= LIMIT) | (np.abs(both[:, 2:]).max(axis=1) <= LIMIT)
+    legal = (np.abs(both[:, :2]).max(axis=1) <= planar.LIMIT) | (np.abs(both[:, 2:]).max(axis=1) <= planar.LIMIT)
     share = report.number("closed_form_inside_limits_percent", 100.0 * float(legal.mean()))
     report.text(
-        f"Percent of {count} targets, uniform over the reach, solved to 1e-10 in at most {ITERATIONS} steps; "
+        f"Percent of {count} targets, uniform over the reach, solved to 1e-10 in at most {planar.ITERATIONS} steps; "
         "published: nothing. search: the step is halved until the error falls; LM: Levenberg-Marquardt; step: at "
-        f"most {LONGEST} rad a joint; clip: joints cut to +-150 deg after each step. With those limits the two "
+        f"most {planar.LONGEST} rad a joint; clip: joints cut to +-150 deg after each step. With those limits the two "
         f"branches of the closed form, filtered, solve {cell(share)} % of the targets of the arm 1, 1: all that can be "
         "solved. Where det J is small a step depends on the last digits of the angles, so another processor may differ in the "
         "last digits of the shares of plain Newton."
     )
-    report.figure(
-        "targets.png",
+    caption = (
         "Links 1 and 1, start (45, 90) deg, marked: which of the two solutions each target of the workspace leads "
-        "to. Plain Newton fails in the white regions and jumps between the branches; clipping at limits loses more.",
-        target_basins(converge, LIMIT, dict(zip(head, drawn, strict=True))),
+        "to. Plain Newton fails in the white regions and jumps between the branches; clipping at limits loses more."
     )
-    report.figure(
-        "starts.png",
+    report.figure("targets.png", caption, target_basins, drawn)
+    caption = (
         "Links 1 and 1, target (1.1, 0.6): the basins of the two solutions over all starting angles. Plain Newton's "
-        "are endlessly interleaved near theta_2 = 0 and 180 deg, where det J = 0.",
-        start_basins(converge, (1.1, 0.6)),
+        "are endlessly interleaved near theta_2 = 0 and 180 deg, where det J = 0."
     )
+    report.figure("starts.png", caption, start_basins, (1.1, 0.6))
 
 
 def _failures(report: Report, rng: np.random.Generator) -> None:
     report.heading("How it fails")
-    X = targets(rng, 20_000, 1.0, 1.0)
-    out = converge(X, 1.0, 1.0, np.radians((0.0, 0.06)), PLAIN)
+    X = planar.targets(rng, 20_000, 1.0, 1.0)
+    out = planar.converge(X, 1.0, 1.0, np.radians((0.0, 0.06)), planar.PLAIN)
     good = out[:, 2] >= 0
     outside = 100.0 * float(np.mean(np.abs(out[good, :2]).max(axis=1) > math.pi))
     other = 100.0 * float(np.mean(np.sin(out[good, 1]) < 0))
-    border = {r: converge(np.array([[r, 0.0]]), 1.0, 1.0, np.radians((45.0, 90.0)), SEARCH)[0] for r in (2.0, 1.9)}
+    border = {
+        r: planar.converge(np.array([[r, 0.0]]), 1.0, 1.0, np.radians((45.0, 90.0)), planar.SEARCH)[0]
+        for r in (2.0, 1.9)
+    }
     angle = rng.uniform(-np.pi, np.pi, 2000)
     far = 2.4 * np.column_stack([np.cos(angle), np.sin(angle)])
-    lost = {kind: converge(far, 1.0, 1.0, np.radians((45.0, 90.0)), kind) for kind in (PLAIN, LEVENBERG)}
-    line = converge(np.array([[1.2, 0.0]]), 1.0, 1.0, (0.0, 0.0), LEVENBERG)[0]
-    rows = [
-        [
-            "start with theta_2 = 0 or 180 deg",
-            "det J = 0: no step exists; LM leaves it, "
-            + ("and " if line[2] >= 0 else "but not ")
-            + "for a target on the arm's own line",
-        ],
-        [
-            "start with small sin(theta_2), (0, 0.06) deg",
-            f"huge first step: {outside:.0f} % of the answers lie outside +-180 deg, {other:.0f} % in the other "
-            "elbow branch",
-        ],
-        [
-            "target on the border, r = l1 + l2",
-            f"double root: {abs(int(border[2.0][2]))} steps against {int(border[1.9][2])} at r = 1.9, theta_2 off by "
-            f"{in_words(abs(border[2.0][1]), deg=False)}",
-        ],
-        [
-            "unreachable target, r = 2.4",
-            f"plain Newton never stops: |e| = {np.median(lost[PLAIN][:, 3]):.2f} m at the end (best possible 0.40), "
-            f"angles up to {figure(np.abs(lost[PLAIN][:, :2]).max(), 1)} rad; LM ends at "
-            f"{np.median(lost[LEVENBERG][:, 3]):.2f} m",
-        ],
-    ]
-    report.table("failures", ["case", "what happens"], rows)
-    report.number("lm_unreachable_median_error", float(np.median(lost[LEVENBERG][:, 3])))
+    lost = {
+        kind: planar.converge(far, 1.0, 1.0, np.radians((45.0, 90.0)), kind)
+        for kind in (planar.PLAIN, planar.LEVENBERG)
+    }
+    line = planar.converge(np.array([[1.2, 0.0]]), 1.0, 1.0, (0.0, 0.0), planar.LEVENBERG)[0]
+    left = {kind: float(np.median(rows[:, 3])) for kind, rows in lost.items()}
+    cases = {
+        "start with theta_2 = 0 or 180 deg": "det J = 0: no step exists; LM leaves it, "
+        f"{'and' if line[2] >= 0 else 'but not'} for a target on the arm's own line",
+        "start with small sin(theta_2), (0, 0.06) deg": f"huge first step: {outside:.0f} % of the answers lie outside +-180 deg, "
+        f"{other:.0f} % in the other elbow branch",
+        "target on the border, r = l1 + l2": f"double root: {abs(int(border[2.0][2]))} steps against {int(border[1.9][2])} at "
+        f"r = 1.9, theta_2 off by {in_words(abs(border[2.0][1]), deg=False)}",
+        "unreachable target, r = 2.4": f"plain Newton never stops: |e| = {left[planar.PLAIN]:.2f} m at the end (best possible "
+        f"0.40), angles up to {figure(np.abs(lost[planar.PLAIN][:, :2]).max(), 1)} rad; LM ends at {left[planar.LEVENBERG]:.2f} m",
+    }
+    report.table("failures", ["case", "what happens"], [*cases.items()])
+    report.number("lm_unreachable_median_error", left[planar.LEVENBERG])
 
 
 def _proven(target: Any, count: int, steps: int) -> tuple[np.ndarray, np.ndarray, list[Any]]:
     """Return outcomes as sampled on a grid of starts, those proven after some steps (NaN: not), and a row of the table."""
     starts = grid(count)
     X = np.tile(target, (len(starts), 1))
-    ends = outcomes(converge(X, 1.0, 1.0, starts, PLAIN))
-    at = converge(X, 1.0, 1.0, starts, PLAIN, iterations=steps)[:, :2]
+    ends = outcomes(planar.converge(X, 1.0, 1.0, starts, planar.PLAIN))
+    at = planar.converge(X, 1.0, 1.0, starts, planar.PLAIN, iterations=steps)[:, :2]
     made = newton_certificate(Robot.load("planar_2r"), (*target, 0.0), at, limits=False)
-    index = made.leads_to(np.reshape(closed_form(*target, 1.0, 1.0), (2, 2)))
+    index = made.leads_to(np.reshape(planar.closed_form(*target, 1.0, 1.0), (2, 2)))
     shares = [100.0 * float(made.proven.mean()), 100.0 * float(made.proven.sum() / np.isfinite(ends).sum())]
     return ends, np.where(index < 0, np.nan, index), [steps, *shares, int((made.proven & (index != ends)).sum())]
 
@@ -357,7 +279,7 @@ def _certified(report: Report, rng: np.random.Generator, target: tuple[float, fl
             panels[f"proven {when}:\n{row[2]:.1f} % of these"] = np.where(np.isfinite(known), known, ends + 2.0)
     head = ["steps before the test", "starts proven (%)", "of those that converge (%)", "exceptions"]
     report.table("certified", head, rows)
-    others = [_proven(x, 121, 0)[2] for x in targets(rng, 20, 1.0, 1.0)]
+    others = [_proven(x, 121, 0)[2] for x in planar.targets(rng, 20, 1.0, 1.0)]
     shares = report.number("certified_other_targets_percent", [row[2] for row in others])
     wrong = report.number("certified_exceptions", sum(row[3] for row in rows + others))
     report.text(
@@ -371,12 +293,11 @@ def _certified(report: Report, rng: np.random.Generator, target: tuple[float, fl
         next, so the same test soon passes on the way, and tells a run that has come close enough from one that still wanders.
         `python scripts/theory_newton.py` looks for counterexamples among random arms of one to six joints."""
     )
-    report.figure(
-        "proven.png",
+    caption = (
         f"Links 1 and 1, target {target}: basins as sampled, and the starts from which convergence to a solution (marked) is "
-        "proven beforehand or three steps later. Pale: converges, but not proven.",
-        proven_basins(panels, target),
+        "proven beforehand or three steps later. Pale: converges, but not proven."
     )
+    report.figure("proven.png", caption, over_starts, panels, target)
 
 
 def _misprints(report: Report) -> None:

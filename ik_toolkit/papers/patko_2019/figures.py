@@ -8,15 +8,7 @@ import numpy as np
 from ...servo import stability as st
 from ...style import COLOURS, PALE
 
-COLOUR = {
-    "cv": COLOURS[0],
-    "av": COLOURS[1],
-    "ca": COLOURS[2],
-    "aa1": COLOURS[5],
-    "aa2": COLOURS[3],
-    "aa3": COLOURS[4],
-    "aad": COLOURS[6],
-}
+COLOUR: dict[str, str] = dict(zip(("cv", "av", "ca", "aa2", "aa3", "aa1", "aad"), COLOURS, strict=False))
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
 FLOOR = 1e-8  # [m] lower end of the error axes; a panel names the runs that stay below it
@@ -33,10 +25,7 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
     left.text(0.262, st.BEST_CV / 0.262 - 1.35, r"best, $\kappa h = 2/3$")
     left.text(0.03, 3.0, "stable")
     for s in sets.values():
-        good = s.paper == "stable"
-        left.plot(s.h, s.kappa, ls="", marker="o" if good else "X", ms=6, color=COLOURS[0] if good else COLOURS[1])
-        side, shift = ("right", (-5, -11)) if good else ("left", (7, 4))
-        left.annotate(s.name, (s.h, s.kappa), xytext=shift, textcoords="offset points", fontsize=8, ha=side)
+        _mark(left, s, (s.h, s.kappa), ("right", (-5, -11)) if s.paper == "stable" else ("left", (7, 4)))
     left.set(xlim=(0, 0.35), ylim=(0, 22), xlabel="h [s]", ylabel=r"$\kappa$ [1/s]", title="cv")
     shades = {0.0628: "#EBEBEB", 0.12: "#C9C9C9", 0.2: "#A3A3A3"}
     for h0, shade in shades.items():
@@ -45,22 +34,20 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
         right.plot(np.append(d / h0, 1 / h0), np.append(st.p_limit(d) / h0**2, 0), color="#000000", lw=0.8)
         right.text(1 / h0 + 0.15, 0.62 * st.p_limit(1.0) / h0**2, f"h = {h0:g} s", fontsize=8)
     for s in sets.values():
-        good = s.paper == "stable"
-        right.plot(s.kd, s.kp, ls="", marker="o" if good else "X", ms=6, color=COLOURS[0] if good else COLOURS[1])
-        side, shift = ("center", (0, -13)) if good else ("right", (-7, 3))
-        right.annotate(s.name, (s.kd, s.kp), xytext=shift, textcoords="offset points", fontsize=8, ha=side)
-    right.set(
-        xlim=(0, 19),
-        ylim=(10, 1200),
-        yscale="log",
-        xlabel=r"$\kappa_D$ [1/s]",
-        ylabel=r"$\kappa_P$ [1/s$^2$]",
-        title="ca",
-    )
+        _mark(right, s, (s.kd, s.kp), ("center", (0, -13)) if s.paper == "stable" else ("right", (-7, 3)))
+    right.set(xlim=(0, 19), ylim=(10, 1200), yscale="log", title="ca")
+    right.set(xlabel=r"$\kappa_D$ [1/s]", ylabel=r"$\kappa_P$ [1/s$^2$]")
     right.plot([], [], ls="", marker="o", color=COLOURS[0], label="stable in the paper")
     right.plot([], [], ls="", marker="X", color=COLOURS[1], label="unstable in the paper")
     right.legend(loc="upper left", fontsize=8)
     return figure
+
+
+def _mark(ax: Any, s: Any, at: tuple[float, float], place: tuple[str, tuple[int, int]]) -> None:
+    """Mark a set of gains and write its name beside it; place: horizontal alignment, and shift [points]."""
+    good, (side, shift) = s.paper == "stable", place
+    ax.plot(*at, ls="", marker="o" if good else "X", ms=6, color=COLOURS[0] if good else COLOURS[1])
+    ax.annotate(s.name, at, xytext=shift, textcoords="offset points", fontsize=8, ha=side)
 
 
 def draw_errors(plt: Any, panels: Mapping[str, Mapping[str, Any]], xlim: tuple[float, float]) -> Any:
@@ -80,36 +67,20 @@ def draw_errors(plt: Any, panels: Mapping[str, Mapping[str, Any]], xlim: tuple[f
 def _curve(ax: Any, key: str, run: Any, until: float) -> None:
     error = np.linalg.norm(run.error, axis=1)
     keep = run.t <= until
-    ax.plot(
-        run.t[keep],
-        np.maximum(error[keep], 0.1 * FLOOR),
-        color=COLOUR[key],
-        ls=DASH.get(key, "-"),
-        label=NAMES.get(key, key),
-    )
+    look = {"color": COLOUR[key], "ls": DASH.get(key, "-"), "label": NAMES.get(key, key)}
+    ax.plot(run.t[keep], np.maximum(error[keep], 0.1 * FLOOR), **look)
     if run.stopped and run.t[-1] <= until:
         ax.plot(run.t[-1], error[-1], color=COLOUR[key], marker="X", ms=7, ls="")
 
 
 def _below(ax: Any, runs: Mapping[str, Any]) -> None:
     """Write the names of the runs whose error falls below the axes for good."""
-    ends = {
-        key: np.linalg.norm(run.error[len(run.error) // 2 :], axis=1).max()
-        for key, run in runs.items()
-        if not run.stopped
-    }
-    names = [NAMES.get(key, key) for key, error in ends.items() if error < FLOOR]
+    late = {key: run.error[len(run.error) // 2 :] for key, run in runs.items() if not run.stopped}
+    names = [NAMES.get(key, key) for key, error in late.items() if np.linalg.norm(error, axis=1).max() < FLOOR]
     if names:
         text = f"{'; '.join(names)}: below {FLOOR:g} m after a step or two"
-        ax.text(
-            0.98,
-            0.03,
-            text,
-            transform=ax.transAxes,
-            ha="right",
-            fontsize=7.5,
-            bbox={"fc": "white", "ec": "none", "pad": 1},
-        )
+        box = {"fc": "white", "ec": "none", "pad": 1}
+        ax.text(0.98, 0.03, text, transform=ax.transAxes, ha="right", fontsize=7.5, bbox=box)
 
 
 def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str, Any]]) -> Any:

@@ -56,38 +56,12 @@ def _radii(made: Report) -> None:
         cv = st.check_gains("cv", s.h, kappa=s.kappa)
         ca = st.check_gains("ca", s.h, kp=s.kp, kd=s.kd)
         agree = "yes" if cv.verdict == ca.verdict == s.paper else "NO"
-        p, d = s.kp * s.h**2, s.kd * s.h
-        rows.append(
-            [
-                s.name,
-                s.where,
-                s.paper,
-                s.kappa * s.h,
-                cv.radius,
-                cv.verdict,
-                d,
-                p,
-                float(st.p_limit(d)),
-                ca.radius,
-                ca.verdict,
-                agree,
-            ]
-        )
-    head = [
-        "set",
-        "where",
-        "paper says",
-        "kappa h",
-        "radius cv",
-        "cv is",
-        "kd h",
-        "kp h^2",
-        "limit of kp h^2",
-        "radius ca",
-        "ca is",
-        "agree",
-    ]
-    made.table("radii", head, rows)
+        d = s.kd * s.h
+        row = {"set": s.name, "where": s.where, "paper says": s.paper}
+        row |= {"kappa h": s.kappa * s.h, "radius cv": cv.radius, "cv is": cv.verdict}
+        row |= {"kd h": d, "kp h^2": s.kp * s.h**2, "limit of kp h^2": float(st.p_limit(d))}
+        rows.append(row | {"radius ca": ca.radius, "ca is": ca.verdict, "agree": agree})
+    made.records("radii", rows)
     misprint = st.mapping_matrix("ca", 0.2, kp=40.0, kd=4.0, dof=2)
     misprint[2, 2] = (2.0 - 3.0 * 40.0 * 0.2) / 2.0
     wrong = SETS["RR bad"]
@@ -102,11 +76,8 @@ def _radii(made: Report) -> None:
         (32) print the
         indices i+1, i, which would make every gain stable, contradicting eqs. (30) and (34): read "current and previous"."""
     )
-    made.figure(
-        "fig9_charts.png",
-        "Fig. 9 redrawn: stable regions of cv and ca, with all the published gain sets",
-        lambda plt: draw_charts(plt, SETS),
-    )
+    caption = "Fig. 9 redrawn: stable regions of cv and ca, with all the published gain sets"
+    made.figure("fig9_charts.png", caption, draw_charts, SETS)
 
 
 def _figures(made: Report) -> None:
@@ -114,11 +85,8 @@ def _figures(made: Report) -> None:
     curves = {}
     for sign, label in ((-1.0, "starting 0.1 m short"), (1.0, "starting 0.1 m too far")):
         curves[label] = {k: known_run("1-DoF", SETS["1-DoF"], k, sign) for k in ("cv", "av", "ca", "aa1", "aa2", "aa3")}
-    made.figure(
-        "fig4_one_dof.png",
-        "Fig. 4 redrawn: error of the 1-DoF case, the three readings of aa; aa2 leaves the domain q > 0 in the right panel",
-        lambda plt: draw_errors(plt, curves, xlim=(0.0, 60.0)),
-    )
+    caption = "Fig. 4 redrawn: error of the 1-DoF case, the three readings of aa; aa2 leaves the domain q > 0 in the right panel"
+    made.figure("fig4_one_dof.png", caption, draw_errors, curves, (0.0, 60.0))
     for name, files in (("PP", "fig5_6_pp.png"), ("RR", "fig7_8_rr.png")):
         case = CASES[name]
         panels = {
@@ -128,11 +96,10 @@ def _figures(made: Report) -> None:
             for word, s in (('"unstable" set', SETS[f"{name} bad"]), ("stable set", SETS[f"{name} good"]))
         }
         number, lap = ("5 and 6", 2.0 * np.pi) if name == "PP" else ("7 and 8", 4.0 * np.pi)
-        made.figure(
-            files,
-            f"Figs. {number} redrawn: {name} arm, path of the tip and error at the samples (aa is its second reading)",
-            lambda plt, case=case, lap=lap, panels=panels: draw_plane(plt, case, lap, panels),
+        caption = (
+            f"Figs. {number} redrawn: {name} arm, path of the tip and error at the samples (aa is its second reading)"
         )
+        made.figure(files, caption, draw_plane, case, lap, panels)
 
 
 def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
@@ -149,20 +116,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
             for key in METHODS:
                 result = known_run(name, SETS[gains], key, 1.0 if start == "offset" else 0.0)
                 numbers = found[name, start, key] = settled(CASES[name], result)
-                if result.stopped:
-                    rows.append(
-                        [
-                            name,
-                            start,
-                            key,
-                            "diverges",
-                            "",
-                            "",
-                            f"after about {float(f'{len(result.t) - 1:.2g}'):g} steps",
-                        ]
-                    )
-                else:
-                    rows.append([name, start, key, *numbers.values()])
+                about = f"after about {float(f'{len(result.t) - 1:.2g}'):g} steps"
+                rows.append([name, start, key, *(["diverges", "", "", about] if result.stopped else numbers.values())])
     made.table("errors", ["case", "start", "method", "max", "RMS", "RMS of the whole run", "between"], rows, ROUNDING)
     return found
 
@@ -192,11 +147,7 @@ def _orders(made: Report) -> None:
         give smaller errors. (aa1 shows {slope:.1f}: its growing zigzag still adds to its third order.)"""
     )
     made.table("orders", ["method", *(f"h = {h:g}" for h in steps), "slope"], rows)
-    made.figure(
-        "orders.png",
-        "Largest settled error against the sample time (RR arm)",
-        lambda plt: draw_orders(plt, steps, curves),
-    )
+    made.figure("orders.png", "Largest settled error against the sample time (RR arm)", draw_orders, steps, curves)
 
 
 def _growth(made: Report) -> dict[tuple[str, str], float]:
@@ -218,16 +169,8 @@ def _growth(made: Report) -> dict[tuple[str, str], float]:
         for key in keys:
             factor = found[gains, key] = growth(CASES[name], SETS[gains], key, lap)
             per_step = factor ** (1.0 / round(lap / SETS[gains].h))
-            rows.append(
-                [
-                    gains,
-                    key,
-                    factor,
-                    per_step,
-                    "grows" if factor > 1.01 else "kept" if factor > 0.99 else "decays",
-                    "its run" if key in ZIGZAGS else "no error",
-                ]
-            )
+            so = "grows" if factor > 1.01 else "kept" if factor > 0.99 else "decays"
+            rows.append([gains, key, factor, per_step, so, "its run" if key in ZIGZAGS else "no error"])
     made.table("growth", ["gain set", "method", "per lap", "per step", "so it", "linearised on"], rows)
     return found
 
@@ -281,12 +224,11 @@ def _in_motion(made: Report) -> None:
         for name, robot, path in (("RR", rr, _rr_circle()), ("3R (redundant)", three, _rr_circle(3.0)))
         for method in ("cv", "ca")
     ]
-    made.figure(
-        "fig9_in_motion.png",
+    caption = (
         "Fig. 9 in motion: stable gains (shaded) over the distance that the target moves in a sample; for a target at rest, at the "
-        "bottom, the border is that of Fig. 9. Lines: the published sets while the rate changes; dots: h = 0.2 s",
-        lambda plt: draw_motion(plt, charts, {"RR bad": bad, "RR good": good}, 4.0 * np.pi),
+        "bottom, the border is that of Fig. 9. Lines: the published sets while the rate changes; dots: h = 0.2 s"
     )
+    made.figure("fig9_in_motion.png", caption, draw_motion, charts, {"RR bad": bad, "RR good": good}, 4.0 * np.pi)
     made.text(
         f"""**Fig. 9 in motion.** Only kappa h (for ca kd h, with kp / kd^2 = {shape:g} as in the bad RR set) and the number of
         samples of a lap count, so one chart holds for every speed: a lap in half the time at twice the rate is the same point. The

@@ -12,39 +12,16 @@ import numpy as np
 
 from ...kernel.counted_error import POSE
 from ...kernel.records import WEIGHTS
-from ...robot.formats.dh import read_dh_table
-from ...robot.library import find
 from ...robot.robot import Robot
 from ...robot.rotation import nearest_rotation
 from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver
 from ...study.benchmark import wilson
-from ..report import ROUNDING, Report
+from ..report import ROUNDING, Report, shipped_table
 from ..timing import Work, rounds, spread
+from . import formulas as paper
 from .figures import gallery
-from .formulas import (
-    A6,
-    A7,
-    ANGLES,
-    D1,
-    D2,
-    MANUAL,
-    ORIGIN,
-    PI_22_7,
-    PRINTED_POSE,
-    S3,
-    S4,
-    S6,
-    SOFTWARE,
-    TABLE_2,
-    THETA_45,
-    THETA_67,
-    fig4,
-    pose_error,
-    pose_matrix,
-    printed_fk,
-)
 from .sample import sample
 from .weld import weld
 
@@ -53,7 +30,7 @@ def reproduce(poses: int = 2000, seed: int = 0, turns: int = 24) -> Report:
     """Compute the report, with a number of random poses for the formulas of Fig 4, and of turns of the tool for the welds."""
     with Report("shanmugasundar", "Shanmugasundar and Sivaramakrishnan (2012), reproduced") as report:
         robot = Robot.load("inspection_7dof")
-        printed = pose_matrix(PRINTED_POSE)
+        printed = paper.pose_matrix(paper.PRINTED_POSE)
         table_pose = printed.copy()
         table_pose[:3, :3] = nearest_rotation(printed[:3, :3])[0]
         model(report, robot)
@@ -76,13 +53,10 @@ def model(report: Report, robot: Robot) -> None:
         q = robot.random_q(rng)
         T = robot.fk(q).homogeneous
         T[:3, 3] *= 1000.0
-        worst = max(worst, np.abs(printed_fk(np.delete(q, 1), 1000.0 * q[1]) - T).max())
+        worst = max(worst, np.abs(paper.printed_fk(np.delete(q, 1), 1000.0 * q[1]) - T).max())
     report.number("fk_difference_mm", worst)
-    path = find(robot.name).path
-    assert path is not None
-    ours = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows
     rows = []
-    for k, (printed, row) in enumerate(zip(TABLE_2, ours, strict=True)):
+    for k, (printed, row) in enumerate(zip(paper.TABLE_2, shipped_table(robot.name).rows, strict=True)):
         d = f"{1000 * row.d:g}" if k != 1 else f"lift, {1000 * robot.lower[1]:g} to {1000 * robot.upper[1]:g}"
         cells = (f"{math.degrees(row.alpha):g}", f"{1000 * row.a:g}", d)
         rows.append([k + 1, *(f"{a:g} / {b}" for a, b in zip(printed, cells, strict=True))])
@@ -96,23 +70,23 @@ def model(report: Report, robot: Robot) -> None:
 
 def _target(report: Report, printed: np.ndarray) -> None:
     report.heading("Where the target of Table 2 comes from")
-    rows, same = [], {PI_22_7: 0, math.pi: 0}
+    rows, same = [], {paper.PI_22_7: 0, math.pi: 0}
     poses = {}
     for pi in same:
-        angles = np.array([x for i, x in enumerate(ORIGIN) if i != 1]) * pi / 180.0
-        poses[pi] = printed_fk(angles, ORIGIN[1])
-    for k, (name, text) in enumerate(PRINTED_POSE.items()):
+        angles = np.array([x for i, x in enumerate(paper.ORIGIN) if i != 1]) * pi / 180.0
+        poses[pi] = paper.printed_fk(angles, paper.ORIGIN[1])
+    for k, (name, text) in enumerate(paper.PRINTED_POSE.items()):
         digits = len(text.split(".")[1])
         values = [float(T[k % 3, k // 3]) for T in poses.values()]
         for pi, value in zip(same, values, strict=True):
             same[pi] += f"{value:.{digits}f}" == text
         rows.append([name, text, *(f"{value:.{digits + 2}f}" for value in values)])
     report.table("target", ["element", "published", "ours, pi = 22/7", "ours, true pi"], rows)
-    report.number("target_equal_22_7", same[PI_22_7])
+    report.number("target_equal_22_7", same[paper.PI_22_7])
     report.number("target_equal_true_pi", same[math.pi])
     report.text(
         "The paper does not say how it chose the pose. It is the forward kinematics of (20 deg, 220 mm, 20, 0, 20, "
-        f"0, 20 deg) with pi = 22/7 in the conversion to radians: {same[PI_22_7]} of 12 printed numbers agree to the "
+        f"0, 20 deg) with pi = 22/7 in the conversion to radians: {same[paper.PI_22_7]} of 12 printed numbers agree to the "
         f"last digit (with the true pi {same[math.pi]})."
     )
 
@@ -120,61 +94,50 @@ def _target(report: Report, printed: np.ndarray) -> None:
 def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None:
     """Add the section on the published angles, for the pose as printed (4, 4) [mm] and as table_pose, whose rotation is exact."""
     report.heading("Tables 3 and 4: the published angles")
-    origin = np.radians([x for i, x in enumerate(ORIGIN) if i != 1])
-    exact = printed_fk(origin, D2)
-    table = fig4(printed, D2)
+    origin = np.radians([x for i, x in enumerate(paper.ORIGIN) if i != 1])
+    exact = paper.printed_fk(origin, paper.D2)
+    table = paper.fig4(printed, paper.D2)
     t1, t3, t4, t5, t6, t7 = table
-    degrees = 180.0 / PI_22_7  # the program of the paper also converts radians to degrees with 22/7 for pi
+    degrees = 180.0 / paper.PI_22_7  # the program of the paper also converts radians to degrees with 22/7 for pi
     program = [f"{degrees * x:.1f}" for x in table]
-    report.number("software_angles_reproduced", sum(a == f"{b:.1f}" for a, b in zip(program, SOFTWARE, strict=True)))
-    hand = "three-digit intermediate values"
-    reasons = (
-        "2 atan2 of (87.09, 461.57), the pose before rounding",
-        hand,
-        "slip of an intermediate",
-        hand,
-        hand,
-        hand,
-    )
+    same = sum(a == f"{b:.1f}" for a, b in zip(program, paper.SOFTWARE, strict=True))
+    report.number("software_angles_reproduced", same)
+    hand, slip = "three-digit intermediate values", "slip of an intermediate"
+    reasons = ("2 atan2 of (87.09, 461.57), the pose before rounding", hand, slip, hand, hand, hand)
     rows: list[list[Any]] = [
         [f"{name} (deg)", manual, f"{software:.1f}", f"{degrees * x:.3f}", f"{math.degrees(true):.0f}", reason]
         for name, manual, software, x, true, reason in zip(
-            ANGLES, MANUAL, SOFTWARE, table, origin, reasons, strict=True
+            paper.ANGLES, paper.MANUAL, paper.SOFTWARE, table, origin, reasons, strict=True
         )
     ]
     true = (origin[2] + origin[3], math.sin(origin[1]), origin[4] + origin[5], math.sin(origin[4]), math.sin(origin[2]))
-    rows.insert(
-        1, ["theta_2", "0", "0", f"lift {D2:g} mm", f"lift {D2:g} mm", "joint 2 slides: it has a lift and no angle"]
-    )
+    lift = f"lift {paper.D2:g} mm"
+    rows.insert(1, ["theta_2", "0", "0", lift, lift, "joint 2 slides: it has a lift and no angle"])
     rows += [
-        ["theta_45 (deg)", THETA_45, "", f"{degrees * (t4 + t5):.3f}", f"{math.degrees(true[0]):.0f}", hand],
-        ["sin theta_3", S3, "", f"{math.sin(t3):.4f}", f"{true[1]:.4f}", hand],
-        ["theta_67 (deg)", THETA_67, "", f"{degrees * (t6 + t7):.3f}", f"{math.degrees(true[2]):.0f}", hand],
-        ["sin theta_6", S6, "", f"{math.sin(t6):.4f}", f"{true[3]:.4f}", hand],
-        ["sin theta_4", S4, "", f"{math.sin(t4):.4f}", f"{true[4]:.4f}", hand],
+        ["theta_45 (deg)", paper.THETA_45, "", f"{degrees * (t4 + t5):.3f}", f"{math.degrees(true[0]):.0f}", hand],
+        ["sin theta_3", paper.S3, "", f"{math.sin(t3):.4f}", f"{true[1]:.4f}", hand],
+        ["theta_67 (deg)", paper.THETA_67, "", f"{degrees * (t6 + t7):.3f}", f"{math.degrees(true[2]):.0f}", hand],
+        ["sin theta_6", paper.S6, "", f"{math.sin(t6):.4f}", f"{true[3]:.4f}", hand],
+        ["sin theta_4", paper.S4, "", f"{math.sin(t4):.4f}", f"{true[4]:.4f}", hand],
     ]
     head = ["number", "manual, Table 3", "software, Table 4", "ours: Fig 4, no rounding", "true origin"]
     report.table("published_angles", [*head, "why the manual differs from ours"], rows)
-    on_exact = fig4(exact, D2)
+    on_exact = paper.fig4(exact, paper.D2)
     cases = {
-        "manual, Table 3": (np.radians(MANUAL), table_pose),
-        "software, Table 4": (np.radians(SOFTWARE), table_pose),
+        "manual, Table 3": (np.radians(paper.MANUAL), table_pose),
+        "software, Table 4": (np.radians(paper.SOFTWARE), table_pose),
         "ours: Fig 4, no rounding": (table, table_pose),
         "ours: Fig 4 on the exact 20 deg pose": (on_exact, exact),
         "ours: true origin of the pose": (origin, table_pose),
     }
     errors = {name: _errors(*case) for name, case in cases.items()}
-    report.table(
-        "errors",
-        ["angles", "position error (mm)", "rotation error (deg)"],
-        [[name, *(float(f"{x:.12g}") for x in error)] for name, error in errors.items()],
-        ROUNDING,
-    )
+    rows = [[name, *(float(f"{x:.12g}") for x in error)] for name, error in errors.items()]
+    report.table("errors", ["angles", "position error (mm)", "rotation error (deg)"], rows, ROUNDING)
     (manual_p, manual_r), (software_p, software_r), *_ = errors.values()
     report.text(
         "Errors are those of the forward kinematics at lift 220 mm against the pose of Table 2 (its rotation "
         "projected to the nearest one), or against the exact pose in row 4. Fig 4 evaluated without rounding gives "
-        f"{report.data['software_angles_reproduced']} of the 6 angles that the software printed, so both columns of "
+        f"{same} of the 6 angles that the software printed, so both columns of "
         f"Table 4 come from the same formulas; they miss the pose by {manual_p:.2f} and {software_p:.2f} mm, "
         f"{manual_r:.2f} and {software_r:.2f} deg. The claim of 'more accurate results' by the software has no basis. "
         "Most of the "
@@ -183,7 +146,7 @@ def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None
 
 
 def _errors(angles: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    position, rotation = pose_error(printed_fk(angles, D2), goal)
+    position, rotation = paper.pose_error(paper.printed_fk(angles, paper.D2), goal)
     return position, math.degrees(rotation)
 
 
@@ -210,13 +173,14 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     rows = []
     for name, (true_1, misprint, flip, choices) in variants.items():
         correct = lost = 0
+        height = 2 * paper.D1 if misprint else None
         for q, goal in zip(Q, T, strict=True):
             lift = 1000.0 * q[1]
             best = math.inf
             for signs in choices:
-                angles = fig4(goal, lift, q[0] if true_1 else None, 2 * D1 if misprint else None, signs, flip)
+                angles = paper.fig4(goal, lift, q[0] if true_1 else None, height, signs, flip)
                 if np.isfinite(angles).all():
-                    position, rotation = pose_error(printed_fk(angles, lift), goal)
+                    position, rotation = paper.pose_error(paper.printed_fk(angles, lift), goal)
                     best = min(best, max(position / 1000.0, rotation))
             correct += best < 1e-6
             lost += best == math.inf
@@ -235,9 +199,8 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
         origin += apart.min() < 1e-6
     rows.append(["complete closed form (ours), every branch", _rate(correct, poses), _rate(count.count(0), poses)])
     report.table("formulas", ["formulas", "correct (%, 95 % interval)", "no angle at all (%, 95 % interval)"], rows)
-    off = np.degrees(
-        np.abs(np.remainder(2 * np.arctan2(T[:, 1, 3], T[:, 0, 3]) - Q[:, 0] + math.pi, 2 * math.pi) - math.pi)
-    )
+    turn = 2 * np.arctan2(T[:, 1, 3], T[:, 0, 3]) - Q[:, 0]
+    off = np.degrees(np.abs(np.remainder(turn + math.pi, 2 * math.pi) - math.pi))
     report.number("theta_1_median_error_deg", float(np.median(off)))
     report.number("branches", {str(k): int(c) for k, c in zip(*np.unique(count, return_counts=True), strict=True)})
     report.number("origin_among_branches", origin)
@@ -248,12 +211,11 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
         f"sine leaves theta or pi - theta, not -theta) equations (7) to (13) are sound. Ours finds "
         f"{' or '.join(report.data['branches'])} branches each time, the original configuration among them for {origin} of {poses}."
     )
-    report.figure(
-        "branches.png",
+    caption = (
         "The eight configurations of one pose at one lift. Only two shapes look different (rows; the other in "
-        "grey): within a row the joints differ by half turns, as the arrows along their axes show.",
-        gallery(robot),
+        "grey): within a row the joints differ by half turns, as the arrows along their axes show."
     )
+    report.figure("branches.png", caption, gallery, robot)
 
 
 def _rate(successes: int, trials: int) -> str:
@@ -301,11 +263,12 @@ def _speed(report: Report, robot: Robot) -> None:
 
 def _misprints(report: Report, printed: np.ndarray) -> None:
     report.heading("Misprints and gaps")
-    wrong = fig4(printed, D2)
+    wrong = paper.fig4(printed, paper.D2)
     s3, c3 = math.sin(wrong[1]), math.cos(wrong[1])
     s67 = math.sin(wrong[4] + wrong[5])
     p, s1, c1 = printed[:3, 3], math.sin(wrong[0]), math.cos(wrong[0])
-    s6 = [(-s3 * (c1 * p[0] + s1 * p[1]) + c3 * (p[2] - top) - s67 * A7) / A6 for top in (2 * D1, D1 + D2)]
+    tops = (2 * paper.D1, paper.D1 + paper.D2)
+    s6 = [(-s3 * (c1 * p[0] + s1 * p[1]) + c3 * (p[2] - top) - s67 * paper.A7) / paper.A6 for top in tops]
     report.number("s6_with_d1_d1_and_d1_d2", s6)
     rows = [
         [
@@ -315,7 +278,7 @@ def _misprints(report: Report, printed: np.ndarray) -> None:
         ],
         [
             "d1 + d1 in S6 and C6, Fig 4",
-            f"with it S6 = {s6[0]:.2f}: no angle; the printed {S6} needs d1 + d2 (ours {s6[1]:.3f})",
+            f"with it S6 = {s6[0]:.2f}: no angle; the printed {paper.S6} needs d1 + d2 (ours {s6[1]:.3f})",
             "d1 + d2",
         ],
         ["S2, C2 in theta_4", "misprint", "S4, C4"],

@@ -11,12 +11,7 @@ from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import solve, solve_all
 from ..report import ROUNDING, Report
 from .figures import self_motion
-from .formulas import (
-    ANGLES,
-    D2,
-    MANUAL,
-    ORIGIN,
-)
+from .formulas import ANGLES, D2, MANUAL, ORIGIN
 
 
 def _q(angles: Any, lift: float) -> np.ndarray:
@@ -69,12 +64,11 @@ def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nda
         f"(theta_6 = 0, elbow stretched): on the unrounded pose theta_1 = {MANUAL[0]} deg is exact at a lift of "
         f"{higher:.3f} mm."
     )
-    report.figure(
-        "self-motion.png",
+    caption = (
         f"Solutions of the sample pose over the lift. The published theta_1 belongs to a lift {higher - D2:.2f} mm "
-        "higher on the curve of the unrounded pose; the pose as printed cannot be reached at 220 mm at all.",
-        self_motion(p, goal, exact, D2, MANUAL[0], ORIGIN[0]),
+        "higher on the curve of the unrounded pose; the pose as printed cannot be reached at 220 mm at all."
     )
+    report.figure("self-motion.png", caption, self_motion, p, goal, exact, D2, MANUAL[0], ORIGIN[0])
 
 
 def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:

@@ -240,33 +240,23 @@ def weld(report: Report, robot: Robot, count: int) -> None:
         plan = plans[name] = made[k]
         share, most = 100.0 * seen.mean(axis=0), 1000.0 * max(one.travel for one in made.values())
         off, tilt = plan.path.deviation
-        rows.append([f"{name}, 41 poses", f"{share.min():.0f} to {share.max():.0f}", len(made), np.degrees(turns[k])])
-        rows[-1] += [
-            1000.0 * plan.travel,
-            1000.0 * plan.whole_travel,
-            most,
-            plan.path.status.name,
-            f"{1000 * off:.2f} mm, {np.degrees(tilt):.2f} deg",
-        ]
-        rows[-1].append(1000.0 * (plan.path.clearance or 0.0))
+        row = {
+            "seam": f"{name}, 41 poses",
+            f"of {count} turns, reach a pose (%)": f"{share.min():.0f} to {share.max():.0f}",
+            "reach all": len(made),
+            "turn taken (deg)": np.degrees(turns[k]),
+            "least lift travel (mm)": 1000.0 * plan.travel,
+            "with the motion between poses": 1000.0 * plan.whole_travel,
+            "least at the worst turn": most,
+            "motion": plan.path.status.name,
+            "deviation at most": f"{1000 * off:.2f} mm, {np.degrees(tilt):.2f} deg",
+            "clearance at least (mm)": 1000.0 * (plan.path.clearance or 0.0),
+        }
+        rows.append(row)
         motion, torques, weight = plan.torques(tip_speed=SPEED)
         forces += [[f"{name}, {motion.duration:.1f} s", *np.abs(torques).max(axis=0)]]
         forces += [["of this by motion", *np.abs(torques - weight).max(axis=0)]]
-    head = [
-        "seam",
-        f"of {count} turns, reach a pose (%)",
-        "reach all",
-        "turn taken (deg)",
-        "least lift travel (mm)",
-    ]
-    head += [
-        "with the motion between poses",
-        "least at the worst turn",
-        "motion",
-        "deviation at most",
-        "clearance at least (mm)",
-    ]
-    report.table("weld", head, rows)
+    report.records("weld", rows)
     report.text(
         f"""The robot is to look at the welds of canisters; the paper plans none. Ours stands {canister.foot[0]:g} m in
         front of the robot, with a radius of {1000 * canister.radius:g} mm. The tool looks along its x axis, at right angles
@@ -276,12 +266,11 @@ def weld(report: Report, robot: Robot, count: int) -> None:
         from their ends, at the 41 poses, on one branch. Between the poses the motion is certified: its deviation is
         bounded, and it keeps the clearance from the canister and from itself."""
     )
-    report.figure(
-        "weld.png",
+    caption = (
         "Above: the girth weld, seen from above; below: the longitudinal weld, seen from the side. Right: intervals of the lift on "
-        "the branch of the plan (blue) and on all (grey), with the lift of least travel (red)",
-        draw_weld(robot, canister, plans),
+        "the branch of the plan (blue) and on all (grey), with the lift of least travel (red)"
     )
+    report.figure("weld.png", caption, draw_weld, robot, canister, plans)
     names = [
         f"{name} ({'N' if slides else 'Nm'})" for name, slides in zip(robot.joint_names, robot.slides, strict=True)
     ]
@@ -299,48 +288,43 @@ def weld(report: Report, robot: Robot, count: int) -> None:
         {100 * gaze.reached.mean():.0f} % of {gaze.reached.size} cells of 80 mm."""
     )
     caption = "Workspace in the plane of the column: share of turns reached when looking level along x"
-    report.figure("workspace.png", caption, draw_map(gaze))
+    report.figure("workspace.png", caption, draw_map, gaze)
 
 
-def draw_map(found: Any) -> Any:
+def draw_map(_: Any, found: Any) -> Any:
     """Draw a map of the workspace."""
     from ...show.reach_pictures import plot_map
 
-    return lambda plt: plot_map(found)
+    return plot_map(found)
 
 
-def draw_weld(robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> Any:
+def draw_weld(plt: Any, robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> Any:
     """Draw for each plan the arm at five poses (girth: from above) and its lifts."""
     from ...show.body import joint_frames
 
-    def draw(plt: Any) -> Any:
-        figure, axes = plt.subplots(len(plans), 2, figsize=(8.0, 6.4), layout="constrained", width_ratios=(4, 5))
-        x, y, z = canister.foot
-        for (left, right), (name, plan), k in zip(axes, plans.items(), (1, 2), strict=True):
-            if k == 1:
-                left.add_patch(plt.Circle((x, y), canister.radius, color="0.85"))
-            else:
-                left.add_patch(
-                    plt.Rectangle((x - canister.radius, z), 2 * canister.radius, canister.height, color="0.85")
-                )
-                left.plot([0, 0], [0, 0.53], color="0.5", lw=7, solid_capstyle="butt")
-            seam = plan.path.targets[:, 0]
-            for q in plan.path.q[:: (len(seam) - 1) // 4]:
-                places = np.vstack([joint_frames(robot, q)[[2, 3, 5, 7], :3, 3], robot.fk(q).translation])
-                left.plot(places[:, 0], places[:, k], "-o", color=COLOURS[0], lw=2, ms=3.5, mfc="white")
-            left.plot(seam[:, 0, 3], seam[:, k, 3], color=COLOURS[1], lw=1.5)
-            left.set(xlabel="x (m)", ylabel=f"{'xyz'[k]} (m)", title=name, aspect="equal")
-            for pose, found in enumerate(plan.windows):
-                for one in sorted(found, key=lambda one: one.branch == plan.branch):
-                    colour = COLOURS[0] if one.branch == plan.branch else "0.85"
-                    right.bar(pose, 1000 * (one.high - one.low), 1.02, 1000 * one.low, color=colour)
-            right.plot(1000 * plan.lifts, color=COLOURS[1], lw=2)
-            right.set(
-                xlabel="pose along the seam",
-                ylabel="lift (mm)",
-                title=f"travel {1000 * plan.travel:.1f} mm",
-                ylim=(-10, 450),
-            )
-        return figure
-
-    return draw
+    figure, axes = plt.subplots(len(plans), 2, figsize=(8.0, 6.4), layout="constrained", width_ratios=(4, 5))
+    x, y, z = canister.foot
+    for (left, right), (name, plan), k in zip(axes, plans.items(), (1, 2), strict=True):
+        if k == 1:
+            left.add_patch(plt.Circle((x, y), canister.radius, color="0.85"))
+        else:
+            left.add_patch(plt.Rectangle((x - canister.radius, z), 2 * canister.radius, canister.height, color="0.85"))
+            left.plot([0, 0], [0, 0.53], color="0.5", lw=7, solid_capstyle="butt")
+        seam = plan.path.targets[:, 0]
+        for q in plan.path.q[:: (len(seam) - 1) // 4]:
+            places = np.vstack([joint_frames(robot, q)[[2, 3, 5, 7], :3, 3], robot.fk(q).translation])
+            left.plot(places[:, 0], places[:, k], "-o", color=COLOURS[0], lw=2, ms=3.5, mfc="white")
+        left.plot(seam[:, 0, 3], seam[:, k, 3], color=COLOURS[1], lw=1.5)
+        left.set(xlabel="x (m)", ylabel=f"{'xyz'[k]} (m)", title=name, aspect="equal")
+        for pose, found in enumerate(plan.windows):
+            for one in sorted(found, key=lambda one: one.branch == plan.branch):
+                colour = COLOURS[0] if one.branch == plan.branch else "0.85"
+                right.bar(pose, 1000 * (one.high - one.low), 1.02, 1000 * one.low, color=colour)
+        right.plot(1000 * plan.lifts, color=COLOURS[1], lw=2)
+        right.set(
+            xlabel="pose along the seam",
+            ylabel="lift (mm)",
+            title=f"travel {1000 * plan.travel:.1f} mm",
+            ylim=(-10, 450),
+        )
+    return figure

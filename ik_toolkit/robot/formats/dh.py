@@ -62,6 +62,12 @@ class DHTable:
     base: np.ndarray
     tool: np.ndarray
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table as numbers, strings and lists, ready for JSON."""
+        columns = ("name", "type", "theta", "d", "a", "alpha")
+        rows = [{name: getattr(row, name) for name in columns} for row in self.rows]
+        return {"convention": self.convention, "rows": rows, "base": self.base.tolist(), "tool": self.tool.tolist()}
+
 
 def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
     """Compute the pose of the tool, T_base_tool (4x4) [m], of a D-H table at joint values q (n,) [rad or m]."""

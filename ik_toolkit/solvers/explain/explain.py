@@ -49,7 +49,8 @@ def explain_result(result: Any) -> Explanation:
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
-        iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
+        # the search that found the answer after the closed form had failed runs again
+        iterations = _iterations(_run(of, plan.search()) if plan.row.closed else of, type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
     targets = {
@@ -72,16 +73,12 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
     if len(robot.tips) > 1:
         return None, "Closed forms are for one tip; several tips are solved together by iteration."
     if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
-        return (
-            None,
-            "Only part of a pose or position is required, so no closed form applies: the solution is found by iteration.",
-        )
+        why = "Only part of a pose or position is required, so no closed form applies: the solution is found by iteration."
+        return None, why
     name = fits(robot, of.kinds[0])
     if name is None:
-        return (
-            None,
-            f"No closed form of the toolkit fits '{robot.name}' and this kind of target, so the solution is found by iteration.",
-        )
+        what = f"No closed form of the toolkit fits '{robot.name}' and this kind of target"
+        return None, f"{what}, so the solution is found by iteration."
     row = find_row(name)
     return Plan(robot, row, row.load()(), plan.options), ""
 
@@ -106,11 +103,6 @@ def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | N
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0
     return best if far and far[best] < SAME else None
-
-
-def _search(of: SolveRecord) -> SolveRecord:
-    """Run again the search that found the answer after the closed form had failed."""
-    return _run(of, of.plan.search())
 
 
 def _beside(of: SolveRecord, name: str) -> SolveRecord:

@@ -209,32 +209,30 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the explanation as numbers, strings and lists in metres and radians, ready for JSON."""
-        made, i = self.worked, self.iterations
-        free = made.free if made is not None else None
+        made = self.worked or WorkedSolution((), ())
+        branches = [
+            {
+                "label": branch.label,
+                "q": branch.q.tolist(),
+                "outside": list(branch.outside),
+                "steps": [step.to_dict() for step in branch.steps],
+                "position_error": error[0],
+                "orientation_error": error[1],
+            }
+            for branch, error in zip(made.branches, self.errors, strict=True)
+        ]
+        one = made.free
+        free = one and {"joint": self.robot.joint_names[one.joint], "inside": one.inside, "every": one.every}
         return {
             "closed_form": self.form or None,
             "why": self.why,
-            "dh": {tip: _plain_table(table) for tip, table in self.tables.items()},
-            "given": [step.to_dict() for step in made.steps if step.formula is None] if made else [],
-            "steps": [step.to_dict() for step in made.steps if step.formula is not None] if made else [],
-            "branches": [
-                {
-                    "label": branch.label,
-                    "q": branch.q.tolist(),
-                    "outside": list(branch.outside),
-                    "steps": [step.to_dict() for step in branch.steps],
-                    "position_error": error[0],
-                    "orientation_error": error[1],
-                }
-                for branch, error in zip(made.branches, self.errors, strict=True)
-            ]
-            if made
-            else [],
+            "dh": {tip: table and table.to_dict() for tip, table in self.tables.items()},
+            "given": [step.to_dict() for step in made.steps if step.formula is None],
+            "steps": [step.to_dict() for step in made.steps if step.formula is not None],
+            "branches": branches,
             "chosen": self.chosen,
-            "free": None
-            if free is None
-            else {"joint": self.robot.joint_names[free.joint], "inside": free.inside, "every": free.every},
-            "iterations": None if i is None else i._asdict(),
+            "free": free,
+            "iterations": self.iterations and self.iterations._asdict(),
         }
 
 
@@ -243,15 +241,3 @@ def target_table(T: np.ndarray, places: int) -> Table:
     shown = zip("xyz", T.reshape(3, -1) if T.ndim == 1 else T[:3], strict=True)
     rows = [(axis, *(digits(x, "", 0) for x in row[:-1]), digits(row[-1], "m", places)) for axis, row in shown]
     return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)
-
-
-def _plain_table(table: DHTable | None) -> Any:
-    if table is None:
-        return None
-    columns = ("name", "type", "theta", "d", "a", "alpha")
-    return {
-        "convention": table.convention,
-        "rows": [{name: getattr(row, name) for name in columns} for row in table.rows],
-        "base": table.base.tolist(),
-        "tool": table.tool.tolist(),
-    }
