@@ -121,7 +121,11 @@ def solve_path(
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
-    q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
+    notice = ""
+    if q0 is not None:
+        start, notice = solver.plan_for(kinds).check_start(q0)
+        q0 = start[0]
+    q_end = None if q_end is None else robot.check_q(q_end, "q_end")
     wanted, places = None, None
     if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
         dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
@@ -162,7 +166,8 @@ def solve_path(
             _share_bound(search, other)
             both = (_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other))
             made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
-        return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
+        said = f"{made.message}; {notice}" if notice else made.message
+        return _against(replace(made, tolerance_given=path_tolerance is not None, message=said), wanted)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
