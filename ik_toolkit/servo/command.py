@@ -16,7 +16,6 @@ from ..kernel.search import SINGULAR_STEP
 from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .constrained_step import Allowed
 from .laws import (
-    AA,
     CA,
     CLIP,
     CV,

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import config
 
-from ...errors import InvalidConfiguration, InvalidOption
+from ...errors import InvalidOption
 from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
-from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
