@@ -251,7 +251,7 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
         lines = ["| file | joints | tip | solved | FK | load [ms] | remark |", "|---|--:|---|--:|--:|--:|---|"]
         for r in shown:
             solved = "" if r["solved"] is None else str(r["solved"])
-            fk = "" if r["fk"] is None else f"{r['fk']:.0e}"
+            fk = "" if r["fk"] is None else f"{r['fk']:.0e}" if r["fk"] else "0"
             tip = f"{r['tip']}{' (of several)' if r.get('tips', 1) > 1 else ''}"
             words = "; ".join(filter(None, (r["reason"].replace("<", "\\<"), r.get("others", ""))))[:160]
             file, joints, load = (

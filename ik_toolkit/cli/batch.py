@@ -179,7 +179,7 @@ class _Tally:
     """Sums over all parts of a batch."""
 
     def __init__(self) -> None:
-        self.done, self.solver, self.failed = 0, "", ""
+        self.done, self.solver, self.failed, self.notice = 0, "", "", ""
         self.statuses: Counter[str] = Counter()
 
     def add(self, part: BatchResult) -> None:
@@ -188,7 +188,7 @@ class _Tally:
             k = int(part.success.argmin())
             first = part[k]
             self.failed = f"target {self.done + k + 1}, the first not solved: {first.status.name}: {first.message}"
-        self.done, self.solver = self.done + len(part), part.solver
+        self.done, self.solver, self.notice = self.done + len(part), part.solver, part.notice
 
 
 def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[str, Any], show_done: Any) -> _Tally:
@@ -257,6 +257,8 @@ def solve_file(
     done = tally.done
     elapsed = perf_counter() - began - compile_time(began, everywhere=True)
     notice(f"wrote {output}")
+    if tally.notice:
+        notice(tally.notice)
     solved = tally.statuses["CONVERGED"]
     payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
     payload |= {"tips": arm.tips} if arm.named_tips else {}

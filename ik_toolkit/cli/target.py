@@ -205,7 +205,7 @@ def _vectors(texts: Sequence[str] | None, name: str, size: int, factors: Sequenc
 
 def _axis(text: str) -> tuple[float, ...]:
     """Return a tip axis (3,) from x, y, z or three numbers."""
-    return AXES.get(text.strip().lower()) or tuple(vector(text, "--free-turn", 3))
+    return AXES.get(text.strip().lower()) or tuple(vector(text, f"--free-turn ({', '.join(AXES)}, or a vector)", 3))
 
 
 def relations(texts: Sequence[str] | None) -> dict[str, str] | None:

@@ -138,6 +138,16 @@ def note(p, e, ends, history, row, attempt):
 
 
 @inline
+def last_attempt(attempts, given):
+    """Return the number of the attempt that is made from q0 or home to its end (-1: none), and how many attempts are made.
+
+    It is the last of several, and does what a single one does, so more attempts solve what fewer do. If q0 is given, it repeats the
+    first attempt, which may have been given up, and is not counted.
+    """
+    return (attempts - 1 + given, attempts + given) if attempts > 1 else (-1, attempts)
+
+
+@inline
 def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
     """Iterate from p.desk.q until the attempt converges, fails or is given up.
 
@@ -198,6 +208,7 @@ def search(rule, p, job, needs_jacobian, excess):
     given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
     if excess > 0.0:
         attempts, closest = min(attempts, END.unreachable_attempts), 0
+    last, most = last_attempt(attempts, given)
     copy(start, job.best)
     for f in range(p.desk.errors.shape[1]):
         p.desk.errors[BEST_OF_ALL, f, 0], p.desk.errors[BEST_OF_ALL, f, 1] = np.inf, np.inf
@@ -206,10 +217,13 @@ def search(rule, p, job, needs_jacobian, excess):
     hits, tries, cut_off, found, place = 0, 0, 0, 0, BEST_OF_ALL
     while True:
         patience = start_attempt(p, job, tries - given, excess)
+        if tries == last:
+            copy(start, q)
+            patience = Patience(o.iterations, np.inf, 1.0)
         before = least
-        status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries)
+        status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries % attempts)
         if place == BEST_OF_ALL and (least < before or status == CONVERGED):
-            found = tries
+            found = tries % attempts
         tries += 1
         if status == ITERATION_LIMIT:
             cut_off += 1
@@ -217,10 +231,10 @@ def search(rule, p, job, needs_jacobian, excess):
             hits += 1
             d = distance(q, start, job.weights, job.box) if closest > 0 else 0.0
             if closest > 0 and d < shortest:
-                shortest, place, found = d, NEAREST, tries - 1
+                shortest, place, found = d, NEAREST, (tries - 1) % attempts
                 copy(q, job.closest)
                 p.keep(e, NEAREST)
-        if hits >= max(closest, 1) or tries >= attempts or spent.evaluations >= o.evaluations:
+        if hits >= max(closest, 1) or tries >= most or spent.evaluations >= o.evaluations:
             break
     if hits > 0:
         status = CONVERGED
@@ -264,7 +278,7 @@ def conclude(p, job, made, spent, excess):
                 status = why
     position, rotation = p.left(made.slot)
     return Answer(
-        float(status), float(spent.steps), float(made.tries - 1), position, rotation, float(evaluations),
+        float(status), float(spent.steps), min(float(made.tries), o.attempts) - 1.0, position, rotation, float(evaluations),
         float(spent.noted), excess * job.box.scale(), float(made.found), float(held), 0.0,
     )  # fmt: skip
 
@@ -288,8 +302,8 @@ def start_attempt(p, job, k, excess):
         p.draw(job.table, k, q)
         if k >= o.patience:
             iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
-    if excess > 0.0 or k + o.given + 1.0 >= o.attempts:
-        ceiling = np.inf  # The last attempt, and any at a target out of reach, is never given up early.
+    if excess > 0.0 or o.attempts == 1.0:
+        ceiling = np.inf  # A single attempt, and any at a target out of reach, is never given up early.
     clear(p.desk.x)
     return Patience(iterations, ceiling, decay)
 

@@ -25,7 +25,7 @@ from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
 from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
-from .search import END
+from .search import END, last_attempt
 from .serial import serial_on
 from .starts import BEST, make_table, rnd, sow
 
@@ -148,15 +148,17 @@ def take_target(p, o, ends, table, s, lane, t, call):
 
 
 @spliced
-def begin_attempt(o, ends, seeds, s, lane, Q0):
-    """Set the start and the give-up bound of the next attempt at the target of a lane."""
+def begin_attempt(o, ends, seeds, s, lane, Q0, last):
+    """Set the start and the give-up bound of the next attempt at the target of a lane; last: number of the last (see search.py)."""
     n = s.Q.shape[0]
     k = s.tries[lane] - int(o.given)
     s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
-    if k < 0:
+    if k < 0 or s.tries[lane] == last:
         t = s.which[lane] if Q0.shape[0] > 1 else 0
         for i in range(n):
-            s.Q[i, lane] = Q0[t, i] / ends.unit(i)
+            s.Q[i, lane] = Q0[t, i] / ends.unit(i) if o.given > 0.0 else ends.home(i)
+        if s.tries[lane] == last:
+            s.ceiling[0, lane] = np.inf
     elif k < BEST:
         s.ceiling[0, lane], s.decay[0, lane] = o.c, o.rho
         for i in range(n):
@@ -191,10 +193,9 @@ def hand_in(p, o, ends, s, lane, wanted, call):
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)
-    tries = float(s.tries[lane])
-    steps = s.spent[0, lane] - tries
-    found = tries - 1.0
-    write(out[t], 0, Answer(float(CONVERGED), steps, found, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0))
+    tries, attempts = float(s.tries[lane]), min(o.attempts, float(ATTEMPTS))
+    steps, restarts, found = s.spent[0, lane] - tries, min(tries, attempts) - 1.0, (tries - 1.0) % attempts
+    write(out[t], 0, Answer(float(CONVERGED), steps, restarts, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0))
     for i in range(n):
         out[t, ANSWER + i] = q[i] * ends.unit(i)
 
@@ -217,13 +218,14 @@ def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
     tip = at3(ends.flat, 21)
     turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
     attempts = min(int(o.attempts), ATTEMPTS)
+    last, most = last_attempt(attempts, int(o.given))
     following, live, renew = 0, 0, ALL
     while True:
         if renew != 0:
             for lane in range(W):
                 if (renew >> lane) & 1 == 0:
                     continue
-                if s.which[lane] >= 0 and s.tries[lane] >= attempts:
+                if s.which[lane] >= 0 and s.tries[lane] >= most:
                     s.which[lane] = -1
                     live -= 1
                 while s.which[lane] < 0 and following < N:
@@ -234,7 +236,7 @@ def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
                 if s.which[lane] < 0:
                     s.ceiling[0, lane] = np.inf
                 else:
-                    begin_attempt(o, ends, table.seeds, s, lane, Q0)
+                    begin_attempt(o, ends, table.seeds, s, lane, Q0, last)
         if live == 0:
             break
         point, linear, angular, cos1 = lane_errors(rows, tip, s, turning)

@@ -293,10 +293,10 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
-            return (
-                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; move the "
-                "poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
-            )
+            advice = "move the poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
+            if all(one.reason.startswith("beyond reach") for one in path.unreachable):
+                advice = "move the poses inside the reach"
+            return f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; {advice}"
         return (
             f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; {far}; allow them "
             "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"

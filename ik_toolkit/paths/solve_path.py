@@ -121,7 +121,7 @@ def solve_path(
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
-    q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
+    (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
     wanted, places = None, None
     if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
         dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
@@ -162,7 +162,7 @@ def solve_path(
             _share_bound(search, other)
             both = (_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other))
             made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
-        return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
+        return _against(replace(made, tolerance_given=path_tolerance is not None), wanted, notice)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
@@ -171,6 +171,14 @@ def solve_path(
             search.link()
         partial = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
         raise PathInterrupted(_against(partial, wanted)) from None
+
+
+def _start(solver: Solver, kinds: tuple, q0: Any) -> tuple[np.ndarray | None, str]:
+    """Return the start q0 (n,), inside the limits, and a notice. Raises InvalidConfiguration."""
+    if q0 is None:
+        return None, ""
+    start, notice = solver.plan_for(kinds).check_start(q0)
+    return start[0], notice
 
 
 def _share_bound(search: Search, other: Search) -> None:
@@ -296,8 +304,10 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-def _against(made: PathResult, wanted: np.ndarray | None) -> PathResult:
+def _against(made: PathResult, wanted: np.ndarray | None, notice: str = "") -> PathResult:
     """Return the path; if it leads through nearest poses, with its errors from those that were `wanted`, and a longer message."""
+    if notice:
+        made = replace(made, message=f"{made.message}; {notice}")
     if wanted is None:
         return made
     errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)

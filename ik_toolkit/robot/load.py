@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, RobotNotFound
+from ..text import figure
 from .base import carried
 from .constraints import Constraint
 from .formats.mjcf import mjcf_to_urdf
@@ -204,7 +205,7 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
     mass = sum(inertia.mass for inertia in model.inertias)
     if not (long > 50.0 and mass < 100.0 * long):  # [m], [kg/m]
         return []
-    weight = f"weigh {mass:.3g} kg" if mass else "have no mass"
+    weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [
-        f"the links are {long:.4g} m long and {weight}: were millimetres meant? Lengths of a description are in metres"
+        f"the links are {figure(long, 4)} m long and {weight}: were millimetres meant? Lengths of a description are in metres"
     ]

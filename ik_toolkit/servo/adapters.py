@@ -26,18 +26,17 @@ LOWER = 0.01  # weight of the errors of one priority level relative to those of 
 RELATIVE = (
     1.0 / LOWER
 )  # weight of an error relative to another tip: one level higher, as two hands must first keep their grip on an object
-LEVER = 0.2  # [m] An angle of 1 rad counts as much as this length, which is about the length of a hand.
+LEVER = 0.2  # [m] default of length_scale: an angle of 1 rad counts as much as this length, about that of a hand
 ALIKE = 0.6  # difflib similarity above which an unknown option is taken for a misspelt option of another method
-WORDS = (*COUNTING, "relative_to", "priority")  # options that select which errors count
+WORDS = (*COUNTING, "relative_to", "priority", "length_scale")  # options that say how errors count
 
 
-def even(scale: float) -> np.ndarray:
-    """Return weights (6,) for position errors (in units of `scale`) and rotation errors [rad], so that 1 rad counts as LEVER.
+def even(robot: Robot | Tree, options: Options) -> np.ndarray:
+    """Return weights (6,) for position errors (in arm reaches) and rotation errors [rad], so that 1 rad counts as length_scale.
 
-    scale: unit of length [m], about the arm's reach. The geometric mean of the weights is 1, so singular values keep their
-    magnitude.
+    The geometric mean of the weights is 1, so singular values keep their magnitude.
     """
-    share = math.sqrt(scale / LEVER)
+    share = math.sqrt(robot.chain.scale / (options.length_scale or LEVER))
     return np.array([share] * 3 + [1.0 / share] * 3)
 
 
@@ -100,7 +99,9 @@ class Published:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
             first = RELATIVE if task.other >= 0 else 1.0
-            counts.append([weights * first * even(scale) * np.repeat(LOWER**level, 3), slack, slack * unit])
+            counts.append(
+                [weights * first * even(self.robot, self.options) * np.repeat(LOWER**level, 3), slack, slack * unit]
+            )
         orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
@@ -151,9 +152,8 @@ class RuleSteps:
 
         The weights are used for null-space motion. The other rows are not used, as the solver's iteration handles slack itself.
         """
-        scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
-        counts[0] = np.tile(even(scale), len(kinds))
+        counts[0] = np.tile(even(self.robot, self.options), len(kinds))
         return self.solver.plan.orders(kinds, True), counts
 
 

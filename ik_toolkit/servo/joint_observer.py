@@ -23,7 +23,7 @@ class Filter(NamedTuple):
     delay: int = 2  # age of measured joints [samples]
     longest: int = 10_000  # largest delay [samples]; one command is kept for each of these samples
     noise: float = 1e-4  # standard deviation of the measurement noise [rad or arm reaches]
-    acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
+    acceleration: float = 0.01  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
     # Bandwidth of the filter [rad/s] times the age [s] of the newest command that a measurement shows.
     # The loop stays stable even if the true delay is four times the assumed one (tests/servo/test_measured.py).
     steady: float = 0.3

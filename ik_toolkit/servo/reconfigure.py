@@ -37,7 +37,7 @@ from .target_stream import STAND, STILL, WAIT
 from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
-REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as LEVER
+REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as length_scale
 
 
 class Taken(NamedTuple):
@@ -46,7 +46,7 @@ class Taken(NamedTuple):
     code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
     singular: bool  # whether the pose was singular
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
-    left: float  # [m] error after the step as one number, in which 1 rad counts as LEVER
+    left: float  # [m] error after the step as one number, in which 1 rad counts as length_scale
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
     stand: np.ndarray  # whether and for how long the target has stood still; STAND holds the indices
     dt: float  # [s] length of the update
@@ -74,7 +74,7 @@ class Postures:
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
         # Errors of lower priority levels are no reason to look for another posture.
         firm = np.repeat(np.equal(group_levels(robot, options), 0), 3)
-        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips)) * firm
+        self._lever = np.tile([1.0] * 3 + [options.length_scale or LEVER] * 3, len(robot.tips)) * firm
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
@@ -115,7 +115,7 @@ class Postures:
         return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
 
     def size(self, E: np.ndarray) -> float:
-        """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as LEVER."""
+        """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as length_scale."""
         return math.hypot(*(self._lever * E).tolist())
 
 

@@ -64,7 +64,7 @@ class Tracker(CopiesViews, ReadOnly):
         straight: Only with "direct". To a target that jumped and stands, the tip moves straight. If that takes more than `straight`
             times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
-        options: Options of the method, and mask, slack, free_turn, frame, priority, relative_to as in `ik.solve`.
+        options: Of the method, and mask, slack, free_turn, frame, priority, relative_to, length_scale (0.2 m) of `ik.solve`.
 
     Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
     """

@@ -60,7 +60,8 @@ def _find(
     T, kinds, notice = _read(solver, target) if found is None else (target[None], POSES, "")
     plan = _plan_for(solver, kinds)
     o = plan.options
-    start = plan.home if q0 is None else plan.check_start(q0)[0]
+    start, clamped = (plan.home, "") if q0 is None else plan.check_start(q0)
+    notice = "; ".join(filter(None, (notice, clamped)))
     if found is None and kinds == POSES:
         (found,) = _certain(plan, T, q0, count)
     sliced = ""

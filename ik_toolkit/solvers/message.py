@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE, POSE, POSITION
+from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, length
@@ -129,16 +130,36 @@ def _cause(result: Any) -> str:
         return "were millimetres meant?"
     if result.status not in SHORT or result._of.plan.options.priority is not None:
         return ""
-    blocked = result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
+    outside = _outside(result)
+    blocked = outside or result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
     never, few = ([], "") if blocked else (impossible(result), too_few_joints(result))
     if not never and not few and result.restarts == 0:
         return ""  # a single attempt proves nothing about the arm
+    if outside:
+        return f"{outside}; widen that limit, or move the target"
     advice = (
         "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
         if never or few
         else ADVICE[result.status]
     )
     return "; ".join(filter(None, [*never, few, position_alone(result, bool(never)), advice]))
+
+
+def _outside(result: Any) -> str:
+    """Say by how much a joint is outside its limits where a short search without limits reaches the target, or return ''."""
+    of, robot = result._of, result.robot
+    if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
+        return ""
+    row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
+    q = row[ANSWER : ANSWER + robot.n]
+    turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
+    q = q - TAU * turns
+    over = np.maximum(robot.lower - q, q - robot.upper)
+    j = int(over.argmax())
+    if row[AT.status] != Status.CONVERGED or over[j] <= 0.0:
+        return ""
+    much = length(over[j]) if robot.joint_kinds[j] == "prismatic" else angle(over[j])
+    return f"it is reached without joint limits, with {robot.joint_names[j]} {much} outside its own"
 
 
 def _left(result: Any) -> str:

@@ -251,27 +251,43 @@ class Plan:
         return np.concatenate([orders, *tasks, weights, parameters(row, self.rule, asked)])
 
     def check_start(self, q0: Any) -> tuple[np.ndarray, str]:
-        """Validate q0 (n,), and clamp it into the limits or refuse it; return (1, n) and a notice.
+        """Read q0 in any form and check it as `check_starts` does; return (1, n) and a notice."""
+        q, notice = self.robot.read_q(q0, "q0")
+        start, clamped = self.check_starts(q[None])
+        return start, f"{notice}; {clamped}" if notice and clamped else notice or clamped
 
-        Raises InvalidConfiguration.
+    def check_starts(self, Q: np.ndarray) -> tuple[np.ndarray, str]:
+        """Validate starts Q (1 or m, n), and clamp them into the limits or refuse them; return them and a notice.
+
+        Of several starts, the one farthest outside is asked about degrees. Raises InvalidConfiguration, which names the target.
         """
-        robot = self.robot
-        q, notice = robot.read_q(q0, "q0")
-        q = robot.check_q(q, "q0")
-        inside = np.clip(q, robot.lower, robot.upper) if self.options.limits else q
+        robot, k = self.robot, 0
+        if len(Q) > 1:
+            meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
+            k = int(
+                np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax()
+            )  # the first that is not a number, if there is one
+        robot.check_q(Q[k], self._start_name(Q, k))
+        inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q
         far = np.abs(inside / robot.chain.unit) >= LARGEST
         if far.any():
-            names = ", ".join(j for j, x in zip(robot.joint_names, far, strict=True) if x)
+            k = int(far.any(axis=1).argmax())
+            names = ", ".join(j for j, x in zip(robot.joint_names, far[k], strict=True) if x)
             raise InvalidConfiguration(
-                f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
+                f"{self._start_name(Q, k)} is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
             )
-        if (inside == q).all():
-            return q[None], notice
-        names = ", ".join(robot.outside(q))
+        if (inside == Q).all():
+            return Q, ""
+        rows = np.flatnonzero((inside != Q).any(axis=1))
+        what, names = self._start_name(Q, int(rows[0])), ", ".join(robot.outside(Q[rows[0]]))
         if self.options.q0_outside == "refuse":
-            raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
-        clamped = f"q0 was outside the limits at joint {names} and was clamped"
-        return inside[None], f"{notice}; {clamped}" if notice else clamped
+            raise InvalidConfiguration(f"{what} is outside the limits at joint {names}")
+        others = f", and so were those of {len(rows) - 1} others" if len(rows) > 1 else ""
+        return inside, f"{what} was outside the limits at joint {names} and was clamped{others}"
+
+    @staticmethod
+    def _start_name(Q: np.ndarray, k: int) -> str:
+        return f"q0 of target {k}" if len(Q) > 1 else "q0"
 
 
 def held_joints(options: Options) -> np.ndarray:

@@ -189,12 +189,12 @@ def line(r: dict[str, Any], key: str) -> list[Any]:
     """One method in one scenario."""
     row = r["rows"][key]
     blank = lambda x: "" if x is None else x  # noqa: E731
-    pair = lambda a, b: f"{1e3 * row[a]:.3g} ({1e3 * row[b]:.3g})"  # noqa: E731
+    pair = lambda a, b: f"{common.short(1e3 * row[a])} ({common.short(1e3 * row[b])})"  # noqa: E731
     if "rms_best" in row:
         error = [pair("rms_compared", "rms_best"), pair("peak_compared", "peak_best")]
-        jerk = f"{row['excess_jerk']:.3g} ({row['best_jerk']:.3g})"
+        jerk = f"{common.short(row['excess_jerk'])} ({common.short(row['best_jerk'])})"
     else:
-        error, jerk = [f"{1e3 * row['rms']:.3g}", f"{1e3 * row['peak']:.3g}"], ""
+        error, jerk = [common.short(1e3 * row["rms"]), common.short(1e3 * row["peak"])], ""
     back = ", ".join("no" if b["seconds"] is None else f"{b['seconds']:.2f} ({b['bound']:.2f})" for b in row["returns"])
     broken = f"{row['breaks']} + {row['breaks_between']}"
     return [f"{r['scenario']} ({r['expected']})", f"`{key}`", len(row["freezes"]), row["jumps"], broken,
@@ -217,8 +217,8 @@ def against_pink(results: list[dict[str, Any]]) -> str:
             share = ours["excess_jerk"] / pink["excess_jerk"]
             most = 0.5 if pink["excess_jerk"] > 0.1 * pink["best_jerk"] else 1.1
             closer = ours["rms_compared"] <= pink["rms_compared"] + MICROMETRE
-            jerk = [f"{x:.3g}" for x in (ours["best_jerk"], ours["excess_jerk"], pink["excess_jerk"])]
-            error = [f"{1e3 * one['rms_compared']:.3g}" for one in (ours, pink)]
+            jerk = [common.short(x) for x in (ours["best_jerk"], ours["excess_jerk"], pink["excess_jerk"])]
+            error = [common.short(1e3 * one["rms_compared"]) for one in (ours, pink)]
             calm = share <= most
             held = "both" if calm and closer else "jerk" if calm else "error" if closer else "neither"
             rows.append([f"{r['robot']}, {r['scenario']}", f"`{key}`", *jerk, f"{share:.2f} ({most})", *error, held])
@@ -244,7 +244,7 @@ def singular_poses(results: list[dict[str, Any]]) -> str:
         if r["scenario"].startswith(SINGULAR) and all("excess_jerk" in row for row in known):
             pairs = [(known[0]["rms_best"], known[0]["best_jerk"])]
             pairs += [(row["rms_compared"], row["excess_jerk"]) for row in known]
-            shown = [f"{1e3 * error:.3g} ({jerk:.3g})" for error, jerk in pairs]
+            shown = [f"{common.short(1e3 * error)} ({common.short(jerk)})" for error, jerk in pairs]
             rows.append([f"{r['robot']}, {r['scenario']}", *shown])
     return common.table(["stream", "best (its jerk)", *(f"`{key}`" for key in keys)], rows)
 

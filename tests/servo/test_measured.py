@@ -23,10 +23,10 @@ def targets(robot, steps, h=H):
     return T[:, :3, 3].copy()
 
 
-def follow(robot, sigma, true=2, steps=1500, h=H, measured=True, **options):
+def follow(robot, sigma, true=2, steps=1500, h=H, measured=True, method="cv", **options):
     """Errors of the real joints [m], accelerations [rad/s^2] and statuses after the beginning; true: samples of delay."""
     rng = np.random.default_rng(8)
-    tracker = ik.Tracker(robot, q0=START, **options)
+    tracker = ik.Tracker(robot, method, q0=START, **options)
     real, rates, errors, statuses = [START] * (true + 1), [np.zeros(robot.n)], [], set()
     for k, target in enumerate(targets(robot, steps, h)):
         q = real[-1 - true] + sigma * rng.standard_normal(robot.n) if measured else None
@@ -39,16 +39,15 @@ def follow(robot, sigma, true=2, steps=1500, h=H, measured=True, **options):
     return np.array(errors), np.diff(rates, axis=0)[int(0.6 / h) :] / h, statuses
 
 
-def test_noise_and_delay_hardly_change_the_motion():
-    """1 kHz, noise of 1e-4 rad, two samples of delay: 0.1 mm per metre of reach, little acceleration, and no limit is blamed."""
+@pytest.mark.parametrize("method", ["cv", "ca", "aad"])
+def test_noise_and_delay_hardly_change_the_motion(method):
+    """1 kHz, noise of 1e-4 rad, two samples of delay: 0.1 mm on an arm of 6 m, little acceleration, and no limit is blamed."""
     robot = robots.load("planar_3r")
-    _, quiet, _ = follow(robot, 0.0, measured=False)
-    errors, loud, statuses = follow(robot, 1e-4)
-    assert errors.max() < 1e-4 * robot.reach
+    _, quiet, _ = follow(robot, 0.0, measured=False, method=method)
+    errors, loud, statuses = follow(robot, 1e-4, method=method)
+    assert errors.max() < 1e-4
     # The single largest acceleration is chance: moving the start by 1e-13 rad moves it by a quarter without any noise.
-    assert (
-        loud.std() < 1.2 * quiet.std() and np.quantile(np.abs(loud), 0.99) < 0.47
-    )  # [rad/s^2]; the motion itself needs 0.29
+    assert loud.std() < 1.05 * quiet.std() and np.quantile(np.abs(loud), 0.99) < 1.2 * np.quantile(np.abs(quiet), 0.99)
     assert statuses == {StepStatus.OK}
 
 

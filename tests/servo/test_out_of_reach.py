@@ -116,3 +116,19 @@ def test_an_arm_that_is_held_back_does_not_hold_back_the_other(acceleration):
         now = robot.fk(tracker.update(targets, 0.01).q)["right_gripper"]
         errors.append(np.linalg.norm(now.translation - targets["right_gripper"][:3, 3]))
     assert max(errors[300:]) < 1e-4
+
+
+def test_with_the_reach_as_length_scale_it_ends_where_solve_does():
+    robot, ends = ik.Robot.load("hydrolek_7w"), []
+    target = robot.fk(robot.home).homogeneous.copy()
+    target[0, 3] += 1.2 * robot.reach
+    target[:3, :3] = target[:3, :3] @ pin.exp3(np.array([0.3, 0.5, 0.2]))
+    for options in ({"length_scale": robot.reach}, {}):
+        tracker = Tracker(robot, "cv", q0=robot.home, **options)
+        for _ in range(600):
+            step = tracker.update(target, 0.02)
+        ends.append(step)
+    ends.append(ik.solve(robot, target, q0=ends[0].q))
+    alike, usual, nearest = ((one.position_error / robot.reach) ** 2 + one.orientation_error**2 for one in ends)
+    assert alike == pytest.approx(nearest, rel=1e-4)
+    assert usual > 1.1 * nearest and ends[1].position_error < ends[0].position_error

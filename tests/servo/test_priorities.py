@@ -75,12 +75,17 @@ def test_coming_nearer_slowly_is_not_called_hardly():
     assert slowly
 
 
-@pytest.mark.parametrize("mode", ["direct", "leave"])
-def test_two_hands_keep_their_distance_where_the_turret_is_too_slow(mode):
+@pytest.mark.parametrize(
+    ("mode", "method", "acceleration"),
+    [("direct", "cv", None), ("leave", "cv", 2.0), ("direct", "aad", 2.0), ("leave", "aad", None)],
+)
+def test_two_hands_keep_their_distance_where_the_turret_is_too_slow(mode, method, acceleration):
     """Moved up and down at up to 1.9 m/s, the hands fall behind, but what they hold is not let go."""
     robot = ik.Tree.load("brokk_hydrolek")
     left, right = robot.tips
-    tracker = ik.Tracker(robot, q0=robot.home, relative_to={right: left}, on_limit=mode, reconfigure=False)
+    limits = acceleration and acceleration * robot.velocity_limits
+    options = {"relative_to": {right: left}, "on_limit": mode, "acceleration_limits": limits}
+    tracker = ik.Tracker(robot, method, q0=robot.home, reconfigure=False, **options)
     at = {tip: T.homogeneous for tip, T in robot.fk(robot.home).items()}
     between, dt = np.linalg.inv(at[left]) @ at[right], 0.005
     worst = behind = 0.0

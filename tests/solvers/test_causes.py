@@ -50,6 +50,21 @@ def test_limits_are_blamed_only_for_what_is_solved_without_them(name, solver):
     assert blamed if solver == "lm" else True
 
 
+@pytest.mark.parametrize("name", ["so100", "xarm7"])
+def test_limits_are_named_where_the_nearest_pose_touches_none(name):
+    """Pushed past a limit, the nearest pose inside may rest on no limit; more restarts cannot help, wider limits do."""
+    arm, rng, named = ik.Robot.load(name), np.random.default_rng(5), 0
+    for k in range(40):
+        q, j = arm.random_q(rng), k % arm.n
+        q[j] = arm.upper[j] + 0.3 * min(arm.upper[j] - arm.lower[j], 2.0)
+        result = ik.solve(arm, arm.fk(q))
+        if result.status == Status.STALLED and ik.solve(arm, arm.fk(q), limits=False).success:
+            named += 1
+            assert "reached without joint limits" in result.message and "restarts" not in result.message
+            assert any(joint in result.message for joint in arm.joint_names) and "widen" in result.message
+    assert named
+
+
 @pytest.mark.parametrize("solver", ["dls", "ccd"])
 def test_an_attempt_that_stops_at_a_limit_blames_no_limit_for_what_others_reach(solver):
     arm, rng = robots.load("hydrolek_7w"), np.random.default_rng(0)

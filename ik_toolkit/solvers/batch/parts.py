@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import config
 
-from ...errors import InvalidConfiguration, InvalidOption
+from ...errors import InvalidOption
 from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
-from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
@@ -27,25 +26,6 @@ from .targets import mended
 # Number of parts that wait for each thread, or in total for an executor; an iterator of targets is read no further ahead.
 AHEAD, REMOTE_AHEAD = 4, 64
 SLICE = 0.05  # [s] a thread checks this often whether to stop
-
-
-def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
-    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: batch index of the first one's target."""
-    bad = ~np.isfinite(q0).all(axis=1)
-    if bad.any():
-        raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
-    inside = np.clip(q0, plan.robot.lower, plan.robot.upper) if plan.options.limits else q0
-    bad = (np.abs(inside / plan.robot.chain.unit) >= LARGEST).any(axis=1)
-    if bad.any():
-        raise InvalidConfiguration(
-            f"q0 of target {first + int(np.argmax(bad))} is too large a number: stay below {LARGEST:g}"
-        )
-    if plan.options.q0_outside == "refuse" and (inside != q0).any():
-        k = int(np.argmax((inside != q0).any(axis=1)))
-        raise InvalidConfiguration(
-            f"q0 of target {first + k} is outside the limits at joint {', '.join(plan.robot.outside(q0[k]))}"
-        )
-    return inside
 
 
 # --------------------------------------------------------------------------------------------------------------- solving
@@ -141,7 +121,7 @@ def _solve_part(
 
     If `stop` is set between two slices, the rows are incomplete.
     """
-    start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
+    start = plan.home if job.q0 is None else job.q0
     part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
     out = np.zeros((len(part.T), plan.width))
     side_by_side = lanes_of(plan, part.kinds)

@@ -87,20 +87,24 @@ class BatchResult(ReadOnly):
         iterations, restarts, fk_evaluations: Counts (N,).
         table: The result rows (N, width) of the compiled search, see `kernel.records.Answer`.
         failures: Targets and starts of the rows that failed (`Failures`), from which their messages are made; or None.
+        notice: What was done with the starts: moved inside the limits, or values of other joints ignored; else ''.
     """
 
-    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, failures: Failures | None = None) -> None:
+    def __init__(
+        self, table: np.ndarray, kinds: tuple, plan: Plan, failures: Failures | None = None, notice: str = ""
+    ) -> None:
         """Wrap the result rows (N, width) of targets of these kinds, one kind per tip."""
         self.table = table
         self.failures = failures
         self.kinds = kinds
         self.plan = plan
+        self.notice = notice
         self.solver = plan.row.name
         self._seal()
 
     def of(self, table: np.ndarray, failures: Failures | None = None) -> "BatchResult":
         """Return a BatchResult of the same solver and kinds of target with other result rows."""
-        return BatchResult(table, self.kinds, self.plan, failures)
+        return BatchResult(table, self.kinds, self.plan, failures, self.notice)
 
     def __len__(self) -> int:
         """Return the number of targets."""

@@ -64,11 +64,14 @@ def solve_parts(
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
     first = next(chunks, None)
-    starts = _checked_starts(robot, q0, total)
+    starts, notice = _read_starts(robot, q0, total)
     local = Solver(robot, solver, **options)
     if first is None:
         return iter(())
     plan = local.plan_for(first.kinds)
+    if starts is not None:
+        starts, clamped = plan.check_starts(starts)
+        notice = "; ".join(filter(None, (notice, clamped)))
     plan.orders(first.kinds, starts is not None)  # A solver that cannot solve this task is refused here.
     if not finish:
         plan = plan.stripped()
@@ -80,7 +83,7 @@ def solve_parts(
         tables = on_executor(plan, jobs, check, executor)
     else:
         tables = on_threads(plan, jobs, check, count)
-    return _wrapped(tables, first.kinds, plan)
+    return _wrapped(tables, first.kinds, plan, notice)
 
 
 def _length(targets: Any) -> int:
@@ -88,30 +91,32 @@ def _length(targets: Any) -> int:
     return len(next(iter(targets.values()), ())) if isinstance(targets, Mapping) else len(targets)
 
 
-def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarray | None:
-    """Return the starts q0 as (n,) or (rows, n); if `rows` is None, any number of rows is valid. Raises InvalidConfiguration."""
+def _read_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> tuple[np.ndarray | None, str]:
+    """Return the starts q0 as (1 or rows, n), and a notice; if `rows` is None, any number is valid. Raises InvalidConfiguration."""
     if q0 is None:
-        return None
-    n = robot.n
+        return None, ""
+    n, notice = robot.n, ""
     if not isinstance(q0, np.ndarray | list | tuple):
-        return robot.read_q(q0, "q0")[0]
+        q, notice = robot.read_q(q0, "q0")
+        return q[None], notice
     if not isinstance(q0, np.ndarray) and any(
         not np.isscalar(row) and not isinstance(row, Sequence | np.ndarray) for row in q0
     ):
-        q0 = [robot.read_q(row, f"q0 of target {k}")[0] for k, row in enumerate(q0)]  # values by joint, JointStates
+        read = [robot.read_q(row, f"q0 of target {k}") for k, row in enumerate(q0)]  # values by joint, JointStates
+        q0, notice = [q for q, _ in read], next((note for _, note in read if note), "")
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
         wanted = f"({n},)" if rows == 1 else f"({n},) or ({'N' if rows is None else rows}, {n})"
         raise InvalidConfiguration(f"q0 of this batch has the shape {wanted}, not {starts.shape}")
-    return starts
+    return starts.reshape(-1, n), notice
 
 
-def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
+def _wrapped(tables: Tables, kinds: tuple, plan: Plan, notice: str) -> Iterator[BatchResult]:
     """Yield each part as a BatchResult; raise BatchCheckFailed at the first with an answer that Pinocchio does not confirm."""
     done = 0
     with closing(tables):
         for table, failures in tables:
-            part = BatchResult(table, kinds, plan, failures)
+            part = BatchResult(table, kinds, plan, failures, notice)
             failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
             if len(failed):
                 table[:, AT.status] = CHECK_FAILED
@@ -121,7 +126,6 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
 
 
 def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iterator[Job]:
-    each = starts is not None and starts.ndim == 2 and len(starts) > 1
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
@@ -129,8 +133,8 @@ def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | Non
             doubt_far(robot, T)
             if starts is None:
                 q0 = None
-            elif not each:
-                q0 = starts.reshape(1, -1)
+            elif len(starts) == 1:
+                q0 = starts
             else:
                 q0 = starts[first : first + len(T)]
                 if len(q0) < len(T):
