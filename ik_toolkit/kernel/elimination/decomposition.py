@@ -187,8 +187,7 @@ def split_parallel(d, pose, off, near):
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
             far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))
-            low = max(fold.k - fold.swing(), far.k - far.swing())
-            arcs = arcs_between(far, low, min(fold.k + fold.swing(), far.k + far.swing()))
+            arcs = arcs_between(far, fold.k - fold.swing(), fold.k + fold.swing())
             D = Angles(arcs.first, arcs.second, arcs.number, 0.0, True, True, unsure)
             half = arcs.half
         for k in range(D.number):
