@@ -96,7 +96,7 @@ class ReadOnly:
 
     def _seal(self) -> None:
         """Seal the object: from now on assignments are refused."""
-        self._sealed = True
+        vars(self)["_sealed"] = True
 
     def _put(self, **values: Any) -> None:
         """Set attributes of a sealed object from inside the package."""

@@ -1,7 +1,7 @@
 """Lists every solution of a target: from a closed form if one fits, otherwise from many starts."""
 
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,37 @@ from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
 from .self_motion import END, FOLLOWING, SelfMotion, self_motions, slicings_of
-from .solutions import Solutions, SolutionsBatch
+from .solutions import TOGETHER, Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
 SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
 APART = 1e-6  # solutions are the same if no joint differs by more [rad]; with a free position each is found twice
+
+
+class CertainLists(NamedTuple):
+    """Certified lists of N poses, of which Solutions are made when they are asked for."""
+
+    plan: Plan
+    table: np.ndarray  # (M, 3 + n) the rows of `polish.list_branches` of all poses
+    # (N, 2) where the rows of each pose begin, and their number, or -1 if its list is not certain
+    counts: list[list[int]]
+    notes: np.ndarray  # (N, .) evidence, see `certificate_of`
+
+    def rows(self, k: int) -> np.ndarray:
+        """Return the rows of pose k."""
+        first, kept = self.counts[k]
+        return self.table[first : first + kept]
+
+    def solutions(self, k: int) -> Solutions | None:
+        """Return the Solutions of pose k, or None if its list is not certain."""
+        if self.counts[k][1] < 0:
+            return None
+        rows, certificate = self.rows(k), certificate_of(self.notes[k].tolist())
+        words = f"{certificate.solutions} branches"
+        words = f"{len(rows)} of {words} are inside the limits" if self.plan.options.limits else words
+        made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
+        return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=certificate)
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
@@ -36,12 +61,21 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
         plain = type(target) is np.ndarray and target.dtype == np.float64 and target.shape[1:] == solver._pose == (4, 4)
-        ready: list[Solutions | None] = [None] * len(target)
-        plan = _plan_for(solver, POSES)
-        for a in range(0, len(target) if plain else 0, 1024):  # so many take 5 MB
-            ready[a : a + 1024] = _certain(plan, target[a : a + 1024], q0, count)
-        each = zip(target, ready, strict=True)
-        return SolutionsBatch([_find(solver, one, q0, starts, count, all_turns, found) for one, found in each])
+        plan, o, each, lists = _plan_for(solver, POSES), solver.options, [], []
+        plain = plain and hasattr(plan.rule, "certain")
+        if plain:
+            target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
+        more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
+        for a in range(0, len(target), TOGETHER):
+            some = target[a : a + TOGETHER]
+            lists.append(_certain(plan, some, q0, count) if plain else None)
+            for k, one in enumerate(some):
+                if plain and not more and lists[-1].counts[k][1] > 0:
+                    each.append(None)
+                else:
+                    found = lists[-1].solutions(k) if plain else None
+                    each.append(_find(solver, one, q0, starts, count, all_turns, found))
+        return SolutionsBatch(each, lists)
     return _find(solver, target, q0, starts, count, all_turns)
 
 
@@ -62,8 +96,8 @@ def _find(
     o = plan.options
     start, clamped = (plan.home, "") if q0 is None else plan.check_start(q0)
     notice = "; ".join(filter(None, (notice, clamped)))
-    if found is None and kinds == POSES:
-        (found,) = _certain(plan, T, q0, count)
+    if found is None and kinds == POSES and hasattr(plan.rule, "certain"):
+        found = _certain(plan, T, q0, count).solutions(0)
     sliced = ""
     if found is None and plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
@@ -150,33 +184,16 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
     return kept[kinds]
 
 
-def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> list[Solutions | None]:
-    """Return for each pose T (N, 4, 4) what `_listed` returns, in less time; None if its list is not certain or longer than count.
+def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
+    """Return the lists of the poses T (N, 4, 4) that are certain and not longer than count, by the elimination's plan.
 
-    The plan is the elimination's; for other plans all are None.
+    Their Solutions are what `_listed` returns, in less time.
     """
-    if not hasattr(plan.rule, "certain"):
-        return [None] * len(T)
-    robot = plan.robot
     opt, p, box = _prepared(plan, POSES)
     if q0 is not None:
         box = box.copy()
         box[2] = plan.check_start(q0)[0]
-    table, counts, found = plan.rule.certain(plan.chain, p, opt, T, box)
-    each: list[Solutions | None] = []
-    at = 0
-    for kept, notes in zip(counts.tolist(), found[:, 0].tolist(), strict=True):
-        rows = table[at : at + max(kept, 0)]
-        at += len(rows)
-        if not 0 <= kept <= count:
-            each.append(None)
-            continue
-        certificate = certificate_of(notes)
-        words = f"{certificate.solutions} branches"
-        words = f"{kept} of {words} are inside the limits" if plan.options.limits else words
-        made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
-        each.append(Solutions(robot, *made, True, plan.row.name, words, certificate=certificate))
-    return each
+    return CertainLists(plan, *plan.rule.certain(plan.chain, p, opt, T, box, count))
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:

@@ -1,6 +1,6 @@
 """What `solve_all` and `Solver.all` return: the distinct solutions of a target, and the self-motions they are samples of."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,10 @@ from ..text import TextTable, length
 from .closed_form.geometry import Family
 
 __all__ = ["Family", "Solutions", "SolutionsBatch"]
+
+TOGETHER = 1024  # poses of a batch that are listed by one call of compiled code; so many take 5 MB
+# where `every.CertainLists` has the attributes of Solutions
+COLUMNS = {"q": slice(3, None), "distance": 2, "position_error": 0, "orientation_error": 1}
 
 
 class Solutions(ReadOnly):
@@ -135,30 +139,42 @@ class SolutionsBatch(ReadOnly):
     is the number of the target of each row; complete (N,) has a bool for each target.
     """
 
-    def __init__(self, each: list[Solutions]) -> None:
-        """Join the solutions of the targets."""
-        self._each = each
-        self.target = np.repeat(np.arange(len(each)), [len(one) for one in each])
-        self.complete = np.array([one.complete for one in each], dtype=bool)
+    def __init__(self, each: list[Solutions | None], lists: Sequence[Any]) -> None:
+        """Join the solutions of the targets; those of target k that are None are made by lists[k // TOGETHER] when asked for."""
+        self._each, self._lists = each, lists
+        counts = [len(self._rows(k) if one is None else one) for k, one in enumerate(each)]
+        self.target = np.repeat(np.arange(len(each)), counts)
+        self.complete = np.array([one is None or one.complete for one in each], dtype=bool)
         self._seal()
 
+    def _rows(self, k: int) -> np.ndarray:
+        return self._lists[k // TOGETHER].rows(k % TOGETHER)
+
     def _joined(self, name: str) -> np.ndarray | None:
-        parts = [getattr(one, name) for one in self._each]
+        parts: list[Any] = [
+            getattr(one, name) if one is not None else self._rows(k)[:, COLUMNS[name]]
+            for k, one in enumerate(self._each)
+        ]
         return None if not parts or parts[0] is None else np.concatenate(parts)
 
     q = property(lambda self: self._joined("q"))
     distance = property(lambda self: self._joined("distance"))
     position_error = property(lambda self: self._joined("position_error"))
     orientation_error = property(lambda self: self._joined("orientation_error"))
-    branches = property(lambda self: self._joined("branches"))
+    branches = property(lambda self: None if None in self._each else self._joined("branches"))
 
     def __len__(self) -> int:
         """Return the number of targets."""
         return len(self._each)
 
-    def __getitem__(self, k: int) -> Solutions:
-        """Return the Solutions of target k."""
-        return self._each[k]
+    def __getitem__(self, k: Any) -> Any:
+        """Return the Solutions of target k, of a slice a list of them."""
+        at = range(len(self))[k]
+        if isinstance(k, slice):
+            return [self[i] for i in at]
+        if self._each[at] is None:
+            self._each[at] = self._lists[at // TOGETHER].solutions(at % TOGETHER)
+        return self._each[at]
 
     def __repr__(self) -> str:
         """Describe the solutions in one line."""

@@ -1,6 +1,7 @@
 """Arms that split into geometric subproblems: each subproblem, all branches, their certificates, families and their ranges."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import robots
 from second_fk import SecondFK
@@ -233,6 +234,35 @@ def test_a_pose_just_out_of_reach_is_no_proof(tmp_path):
             (push < 1e-6, result.success, result.solver == "elimination" and result.status == ik.Status.UNREACHABLE)
         )
     assert seen.count((True, True, False)) == 20 and seen.count((False, False, True)) >= 4
+
+
+@pytest.mark.parametrize(("kind", "first"), [("wrist", 4), ("wrist, first axes meet", 3), ("three parallel", 1)])
+def test_two_axes_on_one_line_are_never_certain(kind, first):
+    """At every pose these joints turn against each other, so no list of branches is complete."""
+    lines = arm_of(kind, 5)[:36].reshape(6, 6).copy()
+    lines[first + 1] = lines[first] * (-1, -1, -1, 1, 1, 1)
+    arm = make_arm(lines[:, :3], lines[:, 3:], np.eye(4))
+    Q = np.random.default_rng(6).uniform(-np.pi, np.pi, (50, 6))
+    listed, verdict, _ = ask(arm, Q, make_forms(arm))
+    for some, certain, q in zip(listed, verdict == CERTAIN, Q, strict=True):
+        assert not certain or (len(some) and apart(some, q).min() < 1e-3)
+
+
+def test_an_angle_that_rounded_axes_leave_almost_free_adds_no_wrong_solutions():
+    """A folded elbow of two equal links, as the I2RT big YAM has; axes that are parallel to 1e-6."""
+    rng, lines = np.random.default_rng(7), arm_of("three parallel", 3)[:36].reshape(6, 6).copy()
+    along, step = lines[1, :3], lines[1, 3:] - lines[2, 3:]
+    lines[3, 3:] = lines[2, 3:] + pin.exp3(0.7 * along) @ (step - along * (along @ step))
+    fold = -0.7 * np.sign(lines[2, :3] @ along)
+    lines[:, :3] += 1e-6 * rng.uniform(-1, 1, (6, 3))
+    lines[:, :3] /= np.linalg.norm(lines[:, :3], axis=1, keepdims=True)
+    arm = make_arm(lines[:, :3], lines[:, 3:], np.eye(4))
+    Q = rng.uniform(-np.pi, np.pi, (200, 6))
+    Q[:, 2] = fold + rng.uniform(-3e-3, 3e-3, 200)
+    listed, verdict, _ = ask(arm, Q, make_forms(arm))
+    assert (verdict == CERTAIN).mean() > 0.9  # the decomposition alone is sure of none of them
+    for q, some in zip(Q, listed, strict=True):
+        assert all(np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-10 for x in some)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- families

@@ -225,6 +225,13 @@ def test_a_batch_lists_what_single_targets_do():
     for q0 in (None, robot.random_q(rng)):
         many = solver.all(np.array(T), q0)
         assert len(many) == 7 and set(many.complete) == {True, False}
+        for name in (
+            "q",
+            "distance",
+            "position_error",
+            "orientation_error",
+        ):  # joined before and after each list is made
+            assert np.array_equal(getattr(many, name), np.concatenate([getattr(one, name) for one in many]))
         for k, pose in enumerate(T):
             one = solver.all(pose, q0)
             assert np.array_equal(many[k].q, one.q) and many[k].to_dict() == one.to_dict()

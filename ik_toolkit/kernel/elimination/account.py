@@ -226,10 +226,10 @@ def put_solution(found, q, gain, root):
     """Add a solution q (6,) to the array `found`; return the row of an equal solution that is there already, or 0 if it is new."""
     count = int(found[0, 0])
     for k in range(1, count + 1):
-        largest = 0.0
-        for i in range(6):
-            largest = max(largest, abs(wrapped(found[k, i] - q[i])))
-        if largest <= max(tolerance(gain), tolerance(found[k, 6])):
+        near, i = max(tolerance(gain), tolerance(found[k, 6])), 0
+        while i < 6 and abs(wrapped(found[k, i] - q[i])) <= near:
+            i += 1
+        if i == 6:
             return k
     if count + 1 < SIZES.rows:
         found[0, 0] = count + 1.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from .answer import solve_loops
 from .decomposition import nearest_point, splits_of
-from .terms import CERTAIN, SIZES, Form
+from .terms import CERTAIN, DOUBT, SIZES, Form
 
 
 class ReadingChoice(NamedTuple):
@@ -75,9 +75,10 @@ def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0
 def make_forms(arm: np.ndarray) -> np.ndarray:
     """Return the orderings of the loop (F, SIZES.whole) that suit an arm (52,), best first; none if no ordering works."""
     rng = np.random.default_rng(CHOICE.seed)
-    T = np.array([arm_tip(arm, q) for q in rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))])
+    Q = rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))
+    T = np.array([arm_tip(arm, q) for q in Q])
     mix = np.linalg.qr(rng.normal(size=(14, 14)))[0][:6].ravel()
-    split = next((row for row in splits_of(arm) if _sure(row, arm, T) >= CHOICE.share * CHOICE.poses), None)
+    split = next((row for row in splits_of(arm) if _sure(row, arm, Q, T) >= CHOICE.share * CHOICE.poses), None)
     first = np.empty((0, SIZES.whole)) if split is None else split[None]
     tried = [reading for k in range(12) if (reading := _try(arm, T, mix, k // 6, k % 6)) is not None]
     if not tried:
@@ -94,10 +95,17 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     return np.vstack([first, (good or [tried[0].row])[: CHOICE.kept]])
 
 
-def _sure(split: np.ndarray, arm: np.ndarray, T: np.ndarray) -> int:
-    """Return at how many poses a decomposition finds solutions and certifies them."""
-    notes = answers(split[None], arm, T)[:, 0]
-    return int(((notes[:, 0] > 0) & (notes[:, 1] == CERTAIN)).sum())
+def _sure(split: np.ndarray, arm: np.ndarray, Q: np.ndarray, T: np.ndarray) -> int:
+    """Return at how many poses T (N, 4, 4) of configurations Q (N, 6) a decomposition is certain; 0 if it then lacks one of Q.
+
+    It lacks them if the arm has a self-motion at every pose, as with two axes on one line.
+    """
+    found = answers(split[None], arm, T)
+    count, verdict = found[:, :1, 0], found[:, 0, 1]
+    apart = np.abs((found[:, 1:, :6] - Q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
+    apart[np.arange(apart.shape[1]) >= count] = np.inf
+    certain = verdict == CERTAIN
+    return int(certain.sum()) if (apart.min(axis=1)[certain] < DOUBT.apart).all() else 0
 
 
 def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> Reading | None:

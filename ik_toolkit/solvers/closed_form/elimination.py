@@ -14,7 +14,7 @@ from ...compile.jit import cached
 from ...kernel.chain import Chain
 from ...kernel.checks import ORTHONORMAL, is_rigid, rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
-from ...kernel.elimination.terms import CERTAIN, SIZES, Notes
+from ...kernel.elimination.terms import CERTAIN, SIZES
 from ..protocol import closed_form
 from .eaik import STEPS, N, eaik_branches
 from .families import families_of
@@ -84,11 +84,10 @@ def forms_of(arm: bytes) -> np.ndarray:
 
 
 def certificate_of(answer: list[float]) -> Certificate:
-    """Return the certificate of one answer of the elimination, given its first row, the `Notes`."""
-    notes = Notes(*answer[: len(Notes._fields)])
-    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the verdicts in `kernel.elimination.terms`
-    counts = int(notes.count), int(notes.roots), int(notes.complex)
-    return Certificate(status, *counts, notes.radius, notes.noise, notes.forms == 0.0)
+    """Return the certificate of one answer of the elimination, given its first row, the `terms.Notes`."""
+    count, verdict, forms, roots, complex_roots, radius, noise = answer[:7]
+    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(verdict)]  # the verdicts in `kernel.elimination.terms`
+    return Certificate(status, int(count), int(roots), int(complex_roots), radius, noise, forms == 0.0)
 
 
 class Said(NamedTuple):
@@ -135,7 +134,7 @@ def into_limits(Q, box, out, excess):
 
 
 @cached
-def list_certain(rows, ends, opt, T, found, box, table, counts):
+def list_certain(rows, ends, opt, T, found, box, most, table, counts):
     """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_branches` does.
 
     Args:
@@ -145,12 +144,14 @@ def list_certain(rows, ends, opt, T, found, box, table, counts):
         T: (N, 4, 4) targets [m].
         found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
+        most: largest number of rows of a target.
         table: (at least the sum of all solutions, 9) receives the rows of `list_branches`, one target after another.
-        counts: (N,) receives the number of rows of each target, or -1 if its list is not certain or a row misses the tolerances.
+        counts: (N, 2) receives where the rows of each target begin, and their number, or -1 if its list is not certain, a row
+            misses the tolerances, or there are more than `most`.
     """
     at = 0
     for t in range(T.shape[0]):
-        counts[t] = -1
+        counts[t, 0], counts[t, 1] = at, -1
         if found[t, 0, 1] != CERTAIN or not rigid(T[t], ORTHONORMAL):
             continue
         Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
@@ -159,8 +160,8 @@ def list_certain(rows, ends, opt, T, found, box, table, counts):
         kept, legal = list_branches(
             rows, ends, opt, T[t], box[2], -1, STEPS, q, broken, signs, table[at:], signs.copy()
         )
-        if kept == legal:
-            counts[t] = kept
+        if kept == legal and kept <= most:
+            counts[t, 1] = kept
             at += kept
 
 
@@ -178,13 +179,13 @@ class Elimination(NamedTuple):
     recognise = staticmethod(recognise_six_revolute)
 
     def certain(
-        self, chain: tuple, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Return the table and counts of `list_certain` for poses T (N, 4, 4), and the answers (N, ...) of the elimination."""
+        self, chain: tuple, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray, most: int
+    ) -> tuple[np.ndarray, list[list[int]], np.ndarray]:
+        """Return the table and counts of `list_certain` for poses T (N, 4, 4), and the first rows (N, 9) of their answers."""
         found = answers(forms_of(p.tobytes()), p, T)
-        table, counts = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty(len(T), dtype=np.int64)
-        list_certain(*chain[:2], opt, T, found, box, table, counts)
-        return table, counts, found
+        table, counts = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty((len(T), 2), dtype=np.int64)
+        list_certain(*chain[:2], opt, T, found, box, most, table, counts)
+        return table, counts.tolist(), found[:, 0].copy()
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].

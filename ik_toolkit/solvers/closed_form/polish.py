@@ -141,12 +141,12 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
         distance = math.sqrt(distance)
         place = kept
         while place > 0 and table[place - 1, 2] > distance:
-            table[place] = table[place - 1]
-            signs[place] = signs[place - 1]
+            copy(table[place - 1], table[place])
+            copy(signs[place - 1], signs[place])
             place -= 1
         table[place, 0], table[place, 1], table[place, 2] = position, rotation, distance
-        table[place, 3:] = q
-        signs[place] = marks[k]
+        copy(q, table[place, 3:])
+        copy(marks[k], signs[place])
         kept += 1
     return kept, legal
 
