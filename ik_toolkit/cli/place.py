@@ -18,9 +18,10 @@ from .pictures import chart
 class PlaceOptions:
     """Options for the poses, the places allowed and what is written."""
 
-    poses: Path = option(
-        "FILE",
-        "Poses or positions in a frame whose z is up: CSV, NPZ or JSON, as for ik solve --targets.",
+    poses: list[str] = option(
+        "[TIP:]FILE",
+        "Poses or positions in a frame whose z is up: CSV, NPZ or JSON, as for ik solve --targets. Repeat as TIP:FILE for several "
+        "tips, each with its own poses.",
         default=REQUIRED,
     )
     where: str | None = option("X Y X Y", "Lower and upper corner of the floor allowed [m]; default: around the poses.")
@@ -49,14 +50,14 @@ def place(
     Examples:
     ik place hydrolek_7w --poses cuts.csv --plot floor.png
     ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --ordered
+    ik place brokk_hydrolek --poses left_tip:cuts.csv --poses right_tip:holds.csv
     """
     if robot.base_xyz is not None or robot.base_rpy is not None:
         raise InvalidOption("ik place chooses where the robot stands; omit --base-xyz and --base-rpy")
-    arm = robot.load(robot.tip)
+    arm, poses = _read(asked.poses, robot, file)
     from ..study.place import NUMBERS, PlaceInterrupted
     from ..study.place import place as search
 
-    poses = file.poses(asked.poses, arm, robot.deg)
     corners = None if asked.where is None else vector(asked.where, "--where", 4)
     where: Any = "floor" if corners is None else (corners[:2], corners[2:])
     turn = math.radians(1.0) if robot.deg else 1.0
@@ -78,7 +79,7 @@ def place(
         for k, one in enumerate(found):
             at = (fixed(x, 3) for x in (one.x, one.y, one.height, one.yaw / turn))
             clear = "-" if math.isnan(one.clearance) else length(one.clearance)
-            made.add_row(str(k + 1), *at, f"{one.count} of {len(poses)}", clear, fixed(one.margin, 3))
+            made.add_row(str(k + 1), *at, one.counts, clear, fixed(one.margin, 3))
         show(made)
         show(
             "margin: mean over the poses reached of the distance to the nearest joint limit, 1 in the middle of all ranges"
@@ -94,6 +95,24 @@ def place(
             f"no pose is reached from any of {len(found.candidates):,} places tried, of a reach of {length(arm.reach)}{free}"
         )
         raise typer.Exit(1)
+
+
+def _read(given: list[str], robot: OneTip, file: FileOptions) -> tuple[Any, Any]:
+    """Load the robot and its poses; for TIP:FILE, a Tree of these tips and a dict of poses by tip."""
+    files = {
+        text.partition(":")[0]: Path(text.partition(":")[2])
+        for text in given
+        if ":" in text and not Path(text).exists()
+    }
+    if not files and len(given) == 1:
+        arm = robot.load(robot.tip)
+        return arm, file.poses(Path(given[0]), arm, robot.deg)
+    if len(files) < len(given):
+        raise InvalidOption("--poses takes one FILE, or TIP:FILE once for each of several tips")
+    if robot.tip is not None:
+        raise InvalidOption("--poses TIP:FILE names the tips; omit --tip")
+    arm = robot.load(list(files))
+    return arm, {tip: file.poses(path, arm, robot.deg) for tip, path in files.items()}
 
 
 def _one_or_two(text: str, name: str) -> list[float]:

@@ -140,7 +140,8 @@ def ramp(values: np.ndarray) -> np.ndarray:
 def plot_places(found: Placements) -> Any:
     """Draw the floor from above: for each square the largest share of poses reached from it (grey: none), obstacles and places."""
     bases, shares = found.candidates, found.shares
-    at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
+    each = found.poses.values() if isinstance(found.poses, dict) else [found.poses]
+    at = np.concatenate([one if one.ndim == 2 else one[:, :3, 3] for one in each])
     low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)
     wide = max(float((high - low).max()) / 32.0, 1e-6)
     sides = np.maximum(np.ceil((high - low) / wide - 1e-9).astype(int), 1)
@@ -170,7 +171,7 @@ def plot_places(found: Placements) -> Any:
         figure.colorbar(image, ax=axis, label="best share of the poses counted", shrink=0.8)
         if len(found):
             one = found[0]
-            words = f"best: {one.count} of {len(found.poses)} poses from x {one.x:.3f} m, y {one.y:.3f} m"
+            words = f"best: {one.count} of {len(at)} poses from x {one.x:.3f} m, y {one.y:.3f} m"
             words += f", yaw {np.degrees(one.yaw):.1f} deg"
             figure.suptitle(literal_text(f"{found.robot}, {words}"), x=0.01, ha="left", fontsize=9)
     return figure

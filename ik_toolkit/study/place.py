@@ -6,7 +6,7 @@ bases from which it is reached. Bases spread over the floor are added, the best 
 reach are counted.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
@@ -15,10 +15,11 @@ import numpy as np
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
-from ..robot.tree import require_one_tip
+from ..robot.tree import Tree
 from ..solvers.batch.targets import known
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
+from ..solvers.solve import require_robot
 from ..text import TextTable, angle, figure, length
 from ..validate import number, switch
 from . import place_search
@@ -36,6 +37,7 @@ class Placement:
     Attributes:
         T_world_base: Pose (4, 4) [m] of the base, in the frame of the poses.
         x, y, height, yaw: The same pose as numbers [m, rad].
+        tips: Name of the tip of each pose (N,), one tip after another.
         reached: Which poses are reached (N,), and `count`, how many.
         q: Configurations (N, n) [rad or m], NaN where a pose is not reached.
         clearance: Least distance [m] to obstacles, at a sample of the configurations; NaN without avoid_collisions.
@@ -45,6 +47,7 @@ class Placement:
     """
 
     T_world_base: np.ndarray
+    tips: np.ndarray
     reached: np.ndarray
     q: np.ndarray
     clearance: float
@@ -57,6 +60,16 @@ class Placement:
     height = property(lambda self: float(self.T_world_base[2, 3]))
     yaw = property(lambda self: float(np.arctan2(self.T_world_base[1, 0], self.T_world_base[0, 0])))
     count = property(lambda self: int(self.reached.sum()))
+
+    @property
+    def counts(self) -> str:
+        """Text with the number of poses reached: '12 of 40', of several tips with their names."""
+        names = list(dict.fromkeys(self.tips.tolist()))
+        each = [self.reached[self.tips == tip] for tip in names]
+        said = [f"{one.sum()} of {len(one)}" for one in each]
+        return (
+            said[0] if len(said) == 1 else ", ".join(f"{tip} {words}" for tip, words in zip(names, said, strict=True))
+        )
 
     @property
     def rank(self) -> tuple[float, ...]:
@@ -72,7 +85,7 @@ class Placements(Sequence[Placement]):
 
     Attributes:
         robot: Name of the robot.
-        poses: The poses (N, 4, 4), or positions (N, 3), asked for.
+        poses: The poses (N, 4, 4), or positions (N, 3), asked for; of a Tree a dict of these by tip.
         found: The placements.
         candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
         shares: Share of the poses that is reached from each (M,), estimated from some of the poses.
@@ -80,7 +93,7 @@ class Placements(Sequence[Placement]):
     """
 
     robot: str
-    poses: np.ndarray
+    poses: Any
     found: tuple[Placement, ...]
     candidates: np.ndarray
     shares: np.ndarray
@@ -105,7 +118,7 @@ class Placements(Sequence[Placement]):
                 k,
                 f"{one.x:.3f}, {one.y:.3f}, {one.height:.3f}",
                 angle(one.yaw),
-                f"{one.count} of {len(one.reached)}",
+                one.counts,
                 None if np.isnan(one.clearance) else length(one.clearance),
                 figure(one.margin),
             )
@@ -125,7 +138,8 @@ class Placements(Sequence[Placement]):
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists."""
         rows = [{key: getattr(one, key) for key in NUMBERS} | {"reached": one.reached.tolist()} for one in self.found]
-        return {"robot": self.robot, "poses": len(self.poses), "placements": rows}
+        tips = self.found[0].tips.tolist() if self.found else []
+        return {"robot": self.robot, "poses": len(tips), "tips": tips, "placements": rows}
 
 
 class PlaceInterrupted(Portable, KeyboardInterrupt):
@@ -138,7 +152,7 @@ class PlaceInterrupted(Portable, KeyboardInterrupt):
 
 
 def place(
-    robot: Robot,
+    robot: Robot | Tree,
     poses: Any,
     where: Any = "floor",
     *,
@@ -153,7 +167,8 @@ def place(
 
     Args:
         robot: The Robot, whose base goes to the place; of one on a rail (`on_base="rail"`) the rail, whose x axis it moves along.
-        poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up.
+            Of a Tree each tip reaches its own poses, one at a time, while the other tips are free.
+        poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up; for a Tree a dict of these by tip.
         where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
         yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
         height: Height of the base [m], a number or (lower, upper).
@@ -171,17 +186,14 @@ def place(
         InvalidOption, InvalidTarget: An argument is wrong.
         PlaceInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the best so far.
     """
-    require_one_tip(robot, "place")
+    require_robot(robot)
     if robot.on_base is not None and not isinstance(robot.on_base, str):
         raise InvalidOption("place chooses the pose of the base; load the robot without a pose as on_base")
+    if switch(ordered, "ordered") and len(robot.tips) > 1:
+        raise InvalidOption("ordered poses are followed by one tip; choose one: ik.Robot.load(source, tip=)")
     check_progress(progress, "the number of candidates counted")
     count = whole(count, "count")
-    W = known(poses, robot.base)
-    if not isinstance(W, np.ndarray) or W.shape[1:] not in ((4, 4), (3,)) or not len(W):
-        raise InvalidTarget("place needs poses (N, 4, 4) or positions (N, 3)")
-    W = floats(W, "poses must be numbers", InvalidTarget)
-    if not np.isfinite(W).all():
-        raise InvalidTarget("poses must be finite numbers")
+    W = _poses(robot, poses)
     if "restarts" in options:
         raise InvalidOption("place chooses the number of attempts; omit restarts")
     low, high = _region(robot, W, where, yaw, height)
@@ -196,12 +208,31 @@ def place(
         if not len(best):
             raise
         raise PlaceInterrupted(_result(study, best, count, False)) from None
-    return _result(study, best, count, switch(ordered, "ordered"))
+    return _result(study, best, count, ordered)
 
 
-def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> tuple[np.ndarray, np.ndarray]:
+def _poses(robot: Robot | Tree, given: Any) -> dict[str, np.ndarray]:
+    """Return the poses (N, 4, 4) or positions (N, 3) of each tip that has any. Raises InvalidTarget, FrameNotFound."""
+    made, each = {}, robot.each_tip(given)
+    if not isinstance(each, Mapping):
+        raise InvalidTarget(f"place needs the poses of several tips as a dict by tip: {', '.join(robot.tips)}")
+    robot.check_tips(each)
+    for tip in [tip for tip in robot.tips if each.get(tip) is not None]:
+        W, of = known(each[tip], robot.base), f" of {tip}" if robot.named_tips else ""
+        if not isinstance(W, np.ndarray) or W.shape[1:] not in ((4, 4), (3,)) or not len(W):
+            raise InvalidTarget(f"place needs poses (N, 4, 4) or positions (N, 3){of}")
+        W = floats(W, f"poses{of} must be numbers", InvalidTarget)
+        if not np.isfinite(W).all():
+            raise InvalidTarget(f"poses{of} must be finite numbers")
+        made[tip] = W
+    if not made:
+        raise InvalidTarget(f"place needs poses of at least one of {', '.join(robot.tips)}")
+    return made
+
+
+def _region(robot: Any, W: dict[str, np.ndarray], where: Any, yaw: Any, height: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper bounds (4,) of x, y, yaw, height [m, rad] of the base."""
-    at = W if W.ndim == 2 else W[:, :3, 3]
+    at = np.concatenate([one if one.ndim == 2 else one[:, :3, 3] for one in W.values()])
     if isinstance(where, str):
         if where != "floor":
             raise InvalidOption(f"where must be 'floor' or two corners ((x, y), (x, y)) [m], not '{where:.60}'")
@@ -230,7 +261,7 @@ def _ends(value: Any, what: str) -> tuple[float, float]:
     return float(pair[0]), float(pair[1])
 
 
-def _scene(robot: Robot, asked: Any) -> CollisionModel | None:
+def _scene(robot: Any, asked: Any) -> CollisionModel | None:
     """Return a copy of the collision model to be avoided, whose shapes can be moved; None without avoid_collisions."""
     if (found := avoided(asked)) is False:
         return None
@@ -254,8 +285,12 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
             for one in apart
         ):
             apart.append(base)
-    measure = quality(study.robot, position_only=study.W.ndim == 2)
-    found = [_placement(study, base, measure) for base in apart[: count + 3]]
+    measures = [
+        (arm.tip, at, quality(arm, position_only=study.W[arm.tip].ndim == 2))
+        for arm, at in zip(study.robot.arms, study.robot.places, strict=True)
+        if arm.tip in study.W
+    ]
+    found = [_placement(study, base, measures) for base in apart[: count + 3]]
     found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
     if ordered:  # Paths are computed for the first few only; `rank` then prefers fewer reconfigurations.
         found = [replace(one, path=_followed(study, one)) for one in found[: place_search.SEARCH.followed]] + found[
@@ -263,11 +298,12 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
         ]
         found = sorted(found, key=lambda one: one.rank, reverse=True)
     bases, shares = put_together(study.tried)
-    return Placements(study.robot.name, study.W, tuple(found), bases, shares, study.boxes)
+    return Placements(study.robot.name, study.robot.for_tips(study.W), tuple(found), bases, shares, study.boxes)
 
 
-def _placement(study: Candidates, base: np.ndarray, measure: Any) -> Placement:
+def _placement(study: Candidates, base: np.ndarray, measures: list[Any]) -> Placement:
     """Return the Placement for one base (4,), from many solver attempts at every pose."""
+    tips = np.repeat(list(study.W), [len(W) for W in study.W.values()])
     good, q = study.solve_beside(base, study.W, place_search.SEARCH.sure)
     q = np.where(good[:, None], q, np.nan)
     clear = np.nan
@@ -276,8 +312,9 @@ def _placement(study: Candidates, base: np.ndarray, measure: Any) -> Placement:
         clear = min(
             (near.distance for one in looked if (near := study.scene.distance(one)) is not None), default=np.inf
         )
-    size, margin = measure(q[good]).mean(axis=1) if good.any() else (0.0, 0.0)
-    return Placement(base_poses(base[None])[0], good, q, float(clear), float(margin), float(size))
+    each = [measure(q[good & (tips == tip)][:, at]) for tip, at, measure in measures]
+    size, margin = np.concatenate(each, axis=1).mean(axis=1) if good.any() else (0.0, 0.0)
+    return Placement(base_poses(base[None])[0], tips, good, q, float(clear), float(margin), float(size))
 
 
 def _followed(study: Candidates, one: Placement) -> Any:
@@ -289,5 +326,6 @@ def _followed(study: Candidates, one: Placement) -> Any:
     asked: Any = {key: study.options[key] for key in {*PathOptions.__annotations__, "seed"} & study.options.keys()}
     base = np.array([one.x, one.y, one.yaw, one.height])
     study.stand(base)
-    seen = in_base(base[None], study.W)[0][one.reached]
+    ((tip, W),) = study.W.items()
+    seen = study.robot.for_tips({tip: in_base(base[None], W)[0][one.reached]})
     return solve_path(study.robot, seen, avoid_collisions=False if study.scene is None else study.scene, **asked)

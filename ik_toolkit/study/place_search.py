@@ -7,6 +7,7 @@ import numpy as np
 
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
+from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_parts
 
 
@@ -62,8 +63,8 @@ class Candidates:
 
     def __init__(
         self,
-        robot: Robot,
-        W: np.ndarray,
+        robot: Robot | Tree,
+        W: dict[str, np.ndarray],
         ends: tuple[np.ndarray, np.ndarray],
         scene: CollisionModel | None,
         options: Any,
@@ -80,8 +81,8 @@ class Candidates:
 
     def run(self) -> np.ndarray:
         """Return the best bases (M, 4), best first."""
-        S, N = SEARCH, len(self.W)
-        few, some = (self.W[:: max(1, -(-N // k))] for k in (S.few, 4 * S.few))
+        S, N = SEARCH, sum(map(len, self.W.values()))
+        few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
         bases = np.concatenate([self.votes(), self.spread(S.spread)])
         bases, score = self.top(bases, self.count(bases, few), 4 * S.keep)
         score = self.count(bases, some)
@@ -129,38 +130,54 @@ class Candidates:
         steps = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, 5.0))) % 1.0
         return self.low + steps * (self.high - self.low)
 
-    def count(self, bases: np.ndarray, W: np.ndarray) -> np.ndarray:
+    def count(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> np.ndarray:
         """Return the share of poses W that is reached from each base (M,); with obstacles, bases left unexamined get 0."""
-        share = np.zeros(len(bases))
-        for a in range(0, len(bases), max(1, 2**15 // len(W))):
-            some = bases[a : a + max(1, 2**15 // len(W))]
-            found = self.solve(in_base(some, W).reshape(-1, *W.shape[1:]), SEARCH.attempts)[0]
-            share[a : a + len(some)] = found.reshape(len(some), len(W)).mean(axis=1)
+        reached = np.zeros((len(bases), sum(map(len, W.values()))), bool)
+        once = max(1, 2**15 // reached.shape[1])
+        for a in range(0, len(bases), once):
+            some = bases[a : a + once]
+            found = [
+                self.solve(tip, in_base(some, T).reshape(-1, *T.shape[1:]), SEARCH.attempts)[0].reshape(len(some), -1)
+                for tip, T in W.items()
+            ]
+            reached[a : a + once] = np.concatenate(found, axis=1)
+        share = reached.mean(axis=1)
         if self.scene is not None:
             order = np.argsort(-share, kind="stable")[: 4 * SEARCH.near]
             looked = order[:: max(1, len(order) // SEARCH.near)]
-            free = np.zeros(len(bases))
-            for k in looked[share[looked] > 0.0]:
-                free[k] = self.solve_beside(bases[k], W, SEARCH.attempts)[0].mean()
-            share = free
+            share = np.zeros(len(bases))
+            for k in looked[reached[looked].any(axis=1)]:
+                good = self.solve_beside(bases[k], W, SEARCH.attempts, reached[k])[0]
+                share[k] = good.sum() / reached.shape[1]
         self.tried.append((bases, share))
         if self.progress is not None:
             self.progress(sum(len(one) for one, _ in self.tried))
         return share
 
-    def solve(self, T: np.ndarray, attempts: int, **more: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for targets (m, ...) in the base frame; return which are reached (m,), and q (m, n)."""
+    def solve(self, tip: str, T: np.ndarray, attempts: int, **more: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for targets (m, ...) of a tip in the base frame; return which are reached (m,), and q (m, n)."""
         asked = {"restarts": attempts - 1, "check": 0.0, "finish": False, **self.options, **more}
-        parts = list(solve_parts(self.robot, T, **asked))
+        parts = list(solve_parts(self.robot, self.robot.for_tips({tip: T}), **asked))
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
-    def solve_beside(self, base: np.ndarray, W: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for poses W from one base, with the obstacles of the scene if there is one."""
-        T = in_base(base[None], W)[0]
-        if self.scene is None:
-            return self.solve(T, attempts, check=1.0)
-        self.stand(base)
-        return self.solve(T, attempts, avoid_collisions=self.scene)
+    def solve_beside(
+        self, base: np.ndarray, W: dict[str, np.ndarray], attempts: int, rows: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for poses W, or those of them where `rows` (N,) is true, from one base, with the obstacles of the scene if any."""
+        more: dict[str, Any] = {"check": 1.0}
+        if self.scene is not None:
+            self.stand(base)
+            more = {"avoid_collisions": self.scene}
+        each = np.split(
+            np.ones(sum(map(len, W.values())), bool) if rows is None else rows,
+            np.cumsum([len(T) for T in W.values()])[:-1],
+        )
+        found = [
+            self.solve(tip, in_base(base[None], T[some])[0], attempts, **more)
+            for (tip, T), some in zip(W.items(), each, strict=True)
+            if some.any()
+        ]
+        return np.concatenate([good for good, _ in found]), np.concatenate([q for _, q in found])
 
     def stand(self, base: np.ndarray) -> None:
         """Move the shapes of the scene to their poses relative to a base (4,)."""
@@ -170,32 +187,24 @@ class Candidates:
 
     def votes(self) -> np.ndarray:
         """Return the bases (M, 4) with most votes of the inverse reachability map; none for positions, as any yaw suits them."""
-        S, robot = SEARCH, self.robot
-        if self.W.ndim == 2 or self.options.get("free_turn") is not None:
-            return np.empty((0, 4))
-        A = robot.chain.forward(robot.random_q(self.rng, S.samples))[0]
-        inverse = np.linalg.inv(A)
-        keys = _keys(A, 0.0, robot.reach * S.height)
-        order = np.argsort(keys, kind="stable")
-        keys, cell = keys[order], robot.reach * S.floor
-        found = []
-        for height in np.unique(np.linspace(self.low[3], self.high[3], 5)):
+        S, reach = SEARCH, self.robot.reach
+        cell, found, tables = reach * S.floor, [np.empty((0, 4))], []
+        for arm in self.robot.arms:
+            if arm.tip in self.W and self.W[arm.tip].ndim == 3 and self.options.get("free_turn") is None:
+                A = arm.chain.forward(arm.random_q(self.rng, S.samples))[0]
+                keys, W = _keys(A, 0.0, reach * S.height), self.W[arm.tip]
+                order = np.argsort(keys, kind="stable")
+                tables.append((keys[order], np.linalg.inv(A[order]), W[:: max(1, len(W) // 400)]))
+        for height in np.unique(np.linspace(self.low[3], self.high[3], 5)) if tables else ():
             sides = np.append(np.maximum(np.ceil((self.high - self.low)[:2] / cell), 1).astype(int), S.yaws)
             votes = np.zeros(sides, np.int32)
-            W = self.W[:: max(1, len(self.W) // 400)]
-            first = np.searchsorted(keys, (asked := _keys(W, height, robot.reach * S.height)), "left")
-            last = np.searchsorted(keys, asked, "right")
-            for T, a, b in zip(W, first, last, strict=True):
-                B = T @ inverse[order[a:b]]
-                turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
-                at = np.column_stack(
-                    [(B[:, :2, 3] - self.low[:2]) / cell, (turn + np.pi) / (2.0 * np.pi) * S.yaws]
-                ).astype(int)
-                at[:, 2] %= S.yaws
-                at = at[
-                    ((B[:, :2, 3] >= self.low[:2]) & (at[:, :2] < sides[:2]).all(axis=1, keepdims=True)).all(axis=1)
-                ]
-                votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
+            for keys, inverse, W in tables:
+                asked = _keys(W, height, reach * S.height)
+                first, last = np.searchsorted(keys, asked, "left"), np.searchsorted(keys, asked, "right")
+                for T, a, b in zip(W, first, last, strict=True):
+                    at = self._cells(T @ inverse[a:b], cell)
+                    at = at[((at >= 0) & (at < sides)).all(axis=1)]
+                    votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
             for axis in range(3):  # add the votes of neighbouring cells; yaw is periodic, outer x and y cells are empty
                 smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
@@ -208,6 +217,15 @@ class Candidates:
                 )
             )
         return np.clip(np.concatenate(found), self.low, self.high)
+
+    def _cells(self, B: np.ndarray, cell: float) -> np.ndarray:
+        """Return the cells (m, 3) of x, y and yaw of base poses B (m, 4, 4); those outside the region are outside the range."""
+        turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
+        at = np.floor(
+            np.column_stack([(B[:, :2, 3] - self.low[:2]) / cell, (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws])
+        ).astype(int)
+        at[:, 2] %= SEARCH.yaws
+        return at
 
 
 def _keys(T: np.ndarray, height: float, wide: float) -> np.ndarray:

@@ -197,16 +197,27 @@ class _Study:
         if decides(self.plan):
             self.solve(rest, Reach.MANY)
         elif self.grid.poses is not None:
-            self.solve(rest, Reach.MANY, restarts=EFFORT.loose - 1)
+            self.solve(rest, Reach.MANY, restarts=EFFORT.many - 1)
         else:
             self.solve(rest, Reach.FEW, restarts=EFFORT.few - 1)
             tried = np.zeros((*self.grid.shape, self.grid.turns), np.uint8)
             self.flood(tried)
-            for k in range(1, EFFORT.rounds + 1):
-                near = _dilated((self.states == Reach.YES).reshape(tried.shape)).ravel()
-                rows = np.flatnonzero(near & (self.states >= Reach.FEW))
-                self.solve(rows, Reach.MANY, restarts=EFFORT.touching - 1, seed=self.plan.options.seed + k)
+            rng = np.random.default_rng(self.plan.options.seed)
+            while len(rows := self.open_beside_yes()):
+                # All targets of a call share their random starts. Neighbours get other ones, and then try each other's answers.
+                for k, some in enumerate(np.array_split(rng.permutation(rows), EFFORT.groups), 1):
+                    self.solve(np.sort(some), Reach.MANY, restarts=EFFORT.many - 1, seed=self.plan.options.seed + k)
                 self.flood(tried)
+
+    def open_beside_yes(self) -> np.ndarray:
+        """Return the answers that few attempts have not found and that touch a yes of the same orientation, also at a corner."""
+        near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
+        for axis in range(3):
+            one = np.moveaxis(near, axis, 0)
+            before = one.copy()
+            one[1:] |= before[:-1]
+            one[:-1] |= before[1:]
+        return np.flatnonzero(near.ravel() & (self.states == Reach.FEW))
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
         """Solve for answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get the state `failed`.
@@ -309,17 +320,6 @@ class _Study:
         return ReachabilityMap(
             robot.name, robot.tip, robot.base, robot.joint_names, grid, states, best, margin, q, audit, options
         )
-
-
-def _dilated(yes: np.ndarray) -> np.ndarray:
-    """Return which answers (nx, ny, nz, K) are yes, or touch a yes of the same orientation, also at a corner."""
-    near = yes.copy()
-    for axis in range(3):
-        one = np.moveaxis(near, axis, 0)
-        before = one.copy()
-        one[1:] |= before[:-1]
-        one[:-1] |= before[1:]
-    return near
 
 
 def quality(robot: Robot, position_only: bool) -> Callable[[np.ndarray], np.ndarray]:

@@ -16,9 +16,8 @@ class GridEffort(NamedTuple):
     """Numbers of solver attempts; `scripts/benchmarks/reach.py` measures what they miss on a Panda."""
 
     few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours are tried
-    touching: int = 40  # attempts in each round at an unproven no that touches a yes
-    rounds: int = 2  # number of these rounds, each with other random starts
-    loose: int = 50  # attempts at single poses, which have no neighbours
+    many: int = 50  # attempts at an unproven no that touches a yes, and at single poses, which have no neighbours
+    groups: int = 16  # parts of the noes that touch a yes, each with random starts of its own
     audited: int = 1000  # attempts at each no that the audit tries again
     chunk: int = 2**16  # answers computed between two writes to the file
     cells: int = 40  # cells along the longest side of a region, unless the resolution is given

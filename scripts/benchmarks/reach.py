@@ -7,6 +7,7 @@ processor time, which other load on the machine changes less.
 """
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -116,36 +117,54 @@ def proofs(share: float) -> dict[str, Any]:
 
 
 def planar(_: float) -> dict[str, Any]:
-    """planar_2r by the law of cosines at 401 x 401 cells, border left out; planar_3r by 36,000 angles at 61 x 61."""
-    rows, limit = {}, np.radians(150.0)
-    found = ik.reachability(ik.Robot.load("planar_2r"), ((-2.05, -2.05, 0), (2.05, 2.05, 0)), resolution=4.1 / 401)
-    x, y, _ = found.grid.centres().T
-    want, sure = two_links(x, y, limit, 0.0), two_links(x, y, limit, 4e-6) == two_links(x, y, limit, -4e-6)
-    wrong = int((found.reached.ravel() != want)[sure].sum())
-    rows["planar_2r"] = {"cells": len(x), "left out": int((~sure).sum()), "wrong": wrong, **found.counts()}
-    found = ik.reachability(ik.Robot.load("planar_3r"), ((-6.1, -6.1, 0), (6.1, 6.1, 0)), resolution=0.2, audit="full")
-    x, y, _ = found.grid.centres().T
-    want, limit = np.zeros(len(x), bool), np.pi / 3.0
-    for turn in np.linspace(-np.pi, np.pi, 36_000):  # of the last link
-        u, v = (x - 2.0 * np.cos(turn)) / 2.0, (y - 2.0 * np.sin(turn)) / 2.0
-        want |= two_links(u, v, limit, 0.0, turn)
-    yes = found.reached.ravel()
-    rows["planar_3r"] = {"cells": len(x), "false yeses": false_yeses(ik.Robot.load("planar_3r"), found)}
-    rows["planar_3r"] |= {"missed": int((want & ~yes).sum()), "beyond the angles": int((yes & ~want).sum())}
+    """planar_2r by the law of cosines and planar_3r by its limit curves, at 401 x 401 cells; cells on the border are left out."""
+    rows = {}
+    for name, side, judge in (("planar_2r", 4.1, two_links), ("planar_3r", 12.2, three_links)):
+        robot = ik.Robot.load(name)
+        half = 0.5 * side
+        found = ik.reachability(robot, ((-half, -half, 0), (half, half, 0)), resolution=side / 401, audit=0)
+        p = found.grid.centres()[:, :2] @ (1.0, 1.0j)
+        want, sure = judge(p, 0.0), judge(p, 4e-6) == judge(p, -4e-6)
+        wrong = int((found.reached.ravel() != want)[sure].sum())
+        rows[name] = {"cells": len(p), "left out": int((~sure).sum()), "wrong": wrong, **found.counts()}
+        rows[name]["false yeses"] = false_yeses(robot, found)
     return rows
 
 
-def two_links(x: np.ndarray, y: np.ndarray, limit: float, slack: float, turn: float | None = None) -> np.ndarray:
-    """Whether two links of 1, joints within +-limit [rad], reach points; a third joint then turns to `turn` within its own."""
-    c, found = (x * x + y * y - 2.0) / 2.0, np.zeros(np.shape(x), bool)
-    bend = np.arccos(np.clip(c, -1.0, 1.0))
-    for q2 in (bend, -bend):
-        q1 = np.arctan2(y, x) - np.arctan2(np.sin(q2), 1.0 + np.cos(q2))
-        q1 = (q1 + np.pi) % (2.0 * np.pi) - np.pi
-        good = (np.abs(q1) <= limit + slack) & (np.abs(q2) <= limit + slack) & (np.abs(c) <= 1.0 + 2.0 * slack)
-        if turn is not None:
-            good &= np.abs((turn - q1 - q2 + np.pi) % (2.0 * np.pi) - np.pi) <= limit
-        found |= good
+def elbows(p: np.ndarray, a: complex, b: complex, slack: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the angles (q, r) of both elbows of links a and b that reach points p = a e^iq + b e^i(q + r); NaN out of reach."""
+    c = (np.abs(p) ** 2 - abs(a) ** 2 - abs(b) ** 2) / (2.0 * abs(a) * abs(b))
+    bend = np.arccos(np.where(np.abs(c) <= 1.0 + 2.0 * slack, np.clip(c, -1.0, 1.0), np.nan))
+    for r in (bend, -bend):
+        yield np.angle(p) - np.angle(abs(a) + abs(b) * np.exp(1j * r)) - np.angle(a), r + np.angle(a) - np.angle(b)
+
+
+def within(limit: float, *angles: np.ndarray) -> np.ndarray:
+    """Whether all angles are within +-limit [rad], after whole turns."""
+    return np.all([np.abs((q + np.pi) % (2.0 * np.pi) - np.pi) <= limit for q in angles], axis=0)
+
+
+def two_links(p: np.ndarray, slack: float) -> np.ndarray:
+    """Whether planar_2r (links of 1 m, joints within 150 deg) reaches points p, with limits wider by `slack` [rad]."""
+    return np.any([within(np.radians(150.0) + slack, q, r) for q, r in elbows(p, 1.0, 1.0, slack)], axis=0)
+
+
+def three_links(p: np.ndarray, slack: float) -> np.ndarray:
+    """Whether planar_3r (links of 2 m, joints within 60 deg) reaches points p, with limits wider by `slack` [rad].
+
+    The tip keeps its place while the last link turns, until a joint meets a limit or the first two links are in line, where their
+    branches meet: a point is reached if, and only if, it is reached in such a configuration.
+    """
+    limit = np.pi / 3.0 + slack
+    found = np.zeros(len(p), bool)
+    for t in (limit, -limit, 0.0):
+        bent, turn = 2.0 + 2.0 * np.exp(1j * t), np.exp(-1j * t)
+        for q, r in elbows(p * turn - 2.0, 2.0, 2.0, slack):
+            found |= within(limit, q, r)  # the first joint is held at t
+        for q, r in elbows(p, bent, 2.0 / turn, slack):
+            found |= within(limit, q, r)  # the second
+        for q, r in elbows(p, 2.0, bent, slack):
+            found |= within(limit, q, r)  # the third
     return found
 
 
@@ -168,15 +187,18 @@ def sheet(robot: Any, scene: int, wide: float, tall: float) -> np.ndarray:
     return base_poses(place)[0] @ np.concatenate(parts)
 
 
-def counted(robot: Any, bases: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Return how many poses are reached from each base, with ten attempts each."""
-    counts = []
+def counted(robot: Any, bases: np.ndarray, W: np.ndarray, box: Any = None) -> np.ndarray:
+    """Return how many poses are reached from each base, with ten attempts each; box: sides and pose of an obstacle."""
+    counts, asked = [], {"restarts": 9, "check": 0.0}
     for base in bases:
-        counts.append(int(ik.solve_batch(robot, in_base(base[None], W)[0], "lm", restarts=9, check=0.0).success.sum()))
+        if box is not None:
+            at = np.linalg.inv(base_poses(base[None])[0]) @ box[1]
+            asked["avoid_collisions"] = ik.CollisionModel(robot).add_box(box[0], at)
+        counts.append(int(ik.solve_batch(robot, in_base(base[None], W)[0], "lm", **asked).success.sum()))
     return np.array(counts)
 
 
-def another(robot: Any, W: np.ndarray, start: np.ndarray, rounds: int, seed: int) -> int:
+def another(robot: Any, W: np.ndarray, start: np.ndarray, rounds: int, seed: int, box: Any) -> int:
     """Return what CMA-ES (extra `tune`) finds from the best random base, counting every pose; the second optimiser."""
     import cma
 
@@ -186,31 +208,32 @@ def another(robot: Any, W: np.ndarray, start: np.ndarray, rounds: int, seed: int
     while not search.stop():
         asked = search.ask()
         bases = np.column_stack([np.array(asked) * scale, np.full(len(asked), start[3])])
-        search.tell(asked, [-float(x) for x in counted(robot, bases, W)])
+        search.tell(asked, [-float(x) for x in counted(robot, bases, W, box)])
     return int(-search.result.fbest)
 
 
 def placement(share: float, scenes: int) -> list[dict[str, Any]]:
     """Scenes of a sheet for the HydroLek, two with obstacles: our best beside random bases and CMA-ES."""
-    robot, rows = ik.Robot.load("hydrolek_7w"), []
+    robot, rows, some = ik.Robot.load("hydrolek_7w"), [], max(1, int(2000 * share))
     for scene in range(scenes):
-        W, rng = sheet(robot, scene, 1.2, 0.9), np.random.default_rng(scene)
+        W, rng, box = sheet(robot, scene, 1.2, 0.9), np.random.default_rng(scene), None
         more: dict[str, Any] = {}
         if scene >= scenes - 2 and scenes > 2:
-            box = ik.CollisionModel(robot).add_box((0.3, 0.3, 1.5), (*W[:, :2, 3].mean(axis=0), -0.4))
-            more = {"avoid_collisions": box}
+            box = (0.3, 0.3, 1.5), ik.pose((*W[:, :2, 3].mean(axis=0), -0.4), rpy=(0, 0, 0))
+            more = {"avoid_collisions": ik.CollisionModel(robot).add_box(*box)}
         began = clocks()
         found = ik.place(robot, W, count=3, **more)
         row = {"scene": scene, "obstacle": bool(more), "seconds": (clocks() - began).tolist(), "found": found[0].count}
-        if not more:
-            edge = np.array([W[:, :2, 3].min(axis=0) - robot.reach, W[:, :2, 3].max(axis=0) + robot.reach])
-            some = int(2000 * share) if share < 1.0 else 2000
-            bases = np.column_stack(
-                [rng.uniform(edge[0], edge[1], (some, 2)), rng.uniform(-np.pi, np.pi, some), np.zeros(some)]
-            )
-            counts = counted(robot, bases, W)
-            row |= {"random bases": some, "best random": int(counts.max())}
-            row |= {"CMA-ES": another(robot, W, bases[counts.argmax()], 40, scene)}
+        edge = np.array([W[:, :2, 3].min(axis=0) - robot.reach, W[:, :2, 3].max(axis=0) + robot.reach])
+        bases = np.column_stack(
+            [rng.uniform(edge[0], edge[1], (some, 2)), rng.uniform(-np.pi, np.pi, some), np.zeros(some)]
+        )
+        counts = counted(robot, bases, W)
+        if box is not None:  # An obstacle adds no pose, so that other bases cannot reach more than ours.
+            best = counts >= min(found[0].count, counts.max())
+            bases, counts = bases[best], counted(robot, bases[best], W, box)
+        row |= {"random bases": some, "best random": int(counts.max())}
+        row |= {"CMA-ES": another(robot, W, bases[counts.argmax()], 40, scene, box)}
         print(row, flush=True)
         rows.append(row)
     return rows

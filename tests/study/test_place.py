@@ -9,7 +9,7 @@ import second_fk
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
-from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.errors import FrameNotFound, InvalidOption, InvalidTarget
 from ik_toolkit.study import place_search
 from ik_toolkit.study.place import PlaceInterrupted
 
@@ -150,6 +150,48 @@ def test_a_rail_is_placed_as_the_base_of_the_arm_on_it():
     assert fixed.count < 30 and moving.count == 30
     seen = np.linalg.inv(moving.T_world_base) @ W
     assert ik.solve_batch(rail, seen).success.all()
+
+
+def test_each_arm_of_a_tree_reaches_its_own_poses_from_one_base(tmp_path, monkeypatch, capsys):
+    """The place of a machine with two arms, one with poses and one with positions, judged tip by tip; and the command."""
+    brokk, G = ik.Tree.load("brokk_hydrolek"), moved(1.5, -2.0, 2.1)
+    T = {tip: G @ pose.homogeneous for tip, pose in brokk.fk(brokk.home).items()}
+    W = {
+        "right_tip": T["right_tip"][None, :3, 3] + np.linspace(0.0, 0.1, 4)[:, None],
+        "left_tip": np.tile(T["left_tip"], (6, 1, 1)),
+    }
+    W["left_tip"][:, 2, 3] += np.linspace(-0.1, 0.1, 6)
+    where, yaw = ((1.3, -2.2), (1.7, -1.8)), (1.8, 2.4)
+    found = ik.place(brokk, W, where, yaw=yaw, count=2)
+    best = found[0]
+    assert best.count == 10 and best.counts == "left_tip 6 of 6, right_tip 4 of 4" and best.q.shape == (10, 13)
+    assert best.counts in repr(found) and found.to_dict()["tips"] == best.tips.tolist() and ik.plot(found).axes
+    for tip in brokk.tips:
+        fk = second_fk.SecondFK(brokk.urdf, brokk.base, tip)
+        at = best.T_world_base @ fk.fk(best.q[best.tips == tip], brokk.joint_names)
+        assert np.abs((at if W[tip].ndim == 3 else at[:, :3, 3]) - W[tip]).max() < 3e-6
+    wall = ik.CollisionModel(brokk).add_box(
+        (0.1, 2.0, 2.0), G @ [[1, 0, 0, -1.0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    )
+    beside = ik.place(brokk, W, where, yaw=yaw, count=1, avoid_collisions=wall)[0]
+    assert beside.count > 0 and beside.clearance > 0.0
+    for error, words, poses, more in (
+        (InvalidTarget, "dict by tip: left_tip, right_tip", W["left_tip"], {}),
+        (FrameNotFound, "mean 'left_tip'", {"left_tp": W["left_tip"]}, {}),
+        (InvalidTarget, "of right_tip must be finite", W | {"right_tip": np.full((1, 3), np.nan)}, {}),
+        (InvalidTarget, "at least one of left_tip", {}, {}),
+        (InvalidOption, "followed by one tip", W, {"ordered": True}),
+    ):
+        with pytest.raises(error, match=words):
+            ik.place(brokk, poses, **more)
+    monkeypatch.chdir(tmp_path)
+    for tip in brokk.tips:
+        np.savez(f"{tip}.npz", targets=W[tip])
+    given = ["--poses", "left_tip:left_tip.npz", "--poses", "right_tip:right_tip.npz"]
+    assert main(["place", "brokk_hydrolek", *given, "--where", "1.3", "-2.2", "1.7", "-1.8", "-n", "1"]) == 0
+    assert best.counts in " ".join(capsys.readouterr().out.split())
+    for wrong in ([*given[:2], "--poses", "right_tip.npz"], [*given, "--tip", "left_tip"], given[:2] * 2):
+        assert main(["place", "brokk_hydrolek", *wrong]) == 2
 
 
 def test_the_command(hydrolek, tmp_path, monkeypatch, capsys):

@@ -106,9 +106,20 @@ def test_neighbours_and_more_attempts_find_what_few_miss(monkeypatch):
     full = ik.reachability(robot, box, **asked).reached.sum()
     monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(few=1))
     monkeypatch.setattr(study._Study, "flood", lambda *_: None)
-    monkeypatch.setattr(study, "_dilated", lambda yes: np.zeros_like(yes))
+    monkeypatch.setattr(study._Study, "open_beside_yes", lambda _: ())
     few = ik.reachability(robot, box, **asked).reached.sum()
     assert 0 < few < full
+
+
+def test_neighbours_start_elsewhere_and_help_each_other(monkeypatch):
+    """With starts of their own the noes that touch a yes need a sixth of the attempts."""
+    box = ((0.125, -0.15, -0.2), (0.375, 0.15, 0.3))
+    asked = {"resolution": 0.025, "orientations": [ik.pose(rpy=(1.5661, -0.7576, 1.7676))], "audit": 0}
+    robot, yes = robots.load("panda"), {}
+    for groups, many in ((study.EFFORT.groups, 50), (1, 50), (1, 300)):
+        monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(groups=groups, many=many))
+        yes[groups, many] = ik.reachability(robot, box, **asked).counts()["yes"]
+    assert yes[16, 50] == yes[1, 300] > yes[1, 50]
 
 
 def test_the_audit_finds_false_noes_and_corrects_them(monkeypatch):
@@ -116,7 +127,7 @@ def test_the_audit_finds_false_noes_and_corrects_them(monkeypatch):
     Q = robot.random_q(np.random.default_rng(3), 150)
     T = robot.chain.forward(Q)[0]
     monkeypatch.setattr(study, "decides", lambda plan: False)
-    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(loose=1, audited=200))
+    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(many=1, audited=200))
     short = {"max_iterations": 4}  # most attempts then end too early
     bare = ik.reachability(robot, T, audit=0, **short)
     assert bare.audit.tried == 0 and bare.audit.unproven == bare.counts()["unknown"] > 10
