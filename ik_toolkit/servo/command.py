@@ -16,11 +16,10 @@ from ..kernel.search import SINGULAR_STEP
 from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .constrained_step import Allowed
 from .laws import (
-    CA,
     CLIP,
-    CV,
+    LAW,
     REGION,
-    RUNNING,
+    START,
     STATE,
     Briskness,
     JointMotion,
@@ -32,7 +31,7 @@ from .laws import (
     gram,
     invert,
     prepare,
-)  # fmt: skip
+)
 from .null_space_motion import away_from_limits, bend, clip_wish, into_null_space, weigh
 from .singular_directions import judge_modes, remember
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
@@ -129,14 +128,14 @@ def add_wishes(law, s, given, ratio, h, memory):
     """
     if find_wishes(law, s, given.limits, given.wish, s.x):
         n, kept, share = s.g.shape[0], 0.0, 1.0
-        if law.code >= CA:
+        if law.code >= LAW.ca:
             size = math.sqrt(dot(s.g, s.g, n))
             # The method itself already damps the null-space velocity at the rate law.null.
-            rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)
+            rate = max(min(TAKEN_UP, (SHARE if law.code == LAW.ca else 1.0) / h), law.null)
             share = min(h * rate, 1.0) * size / (size + LITTLE)
             add_multiple(s.g, law.null / rate - 1.0, s.null, n)
-        if law.code == CV or law.code == CA:
-            kept = share / h if law.code == CA else share
+        if law.code == LAW.cv or law.code == LAW.ca:
+            kept = share / h if law.code == LAW.ca else share
             share *= 1.0 + 0.5 * ratio
         add_multiple(s.x, share, s.g, n)
         add_multiple(memory, kept, s.g, n)
@@ -152,7 +151,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
     n, m = s.J.shape
     if beyond:
         hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
-    limited = law.mode != CLIP and law.code >= CA
+    limited = law.mode != CLIP and law.code >= LAW.ca
     for i in range(n):
         limited = limited or limits[LIMIT.acceleration, i] < np.inf
     if not limited:
@@ -209,7 +208,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     held = feed_back(law, s, limits, now, heavy, beyond)
     joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
-    if law.code >= CA:
+    if law.code >= LAW.ca:
         if held:  # The joints do not take the step s / h, so dJ/dt is taken along the present rates.
             copy(rate, s.x1)
             copy(rate, s.x2)
@@ -217,13 +216,13 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
-    ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+    ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
     command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
-        if law.code == CV:
+        if law.code == LAW.cv:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)
     return damped

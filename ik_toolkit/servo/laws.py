@@ -21,12 +21,29 @@ from ..kernel.records import Array
 from ..kernel.vectors import apply_transposed, dot, dot_of_columns
 from .viability import LIMIT, approach
 
-CV, AV, CA, AA = range(4)  # codes of the methods; AA is also the code of method aad
 CLIP = 2  # mode in which each joint is clipped on its own; the modes 0 and 1 are LEAVE and DIRECT
+
+
+class LawCode(NamedTuple):
+    """Codes of the methods; `aa` is also that of method aad."""
+
+    cv: int = 0
+    av: int = 1
+    ca: int = 2
+    aa: int = 3
+
+
+class StepStart(NamedTuple):
+    """Codes of how a step begins."""
+
+    with_target: int = 0  # at the target's rate
+    given: int = 1  # at a given rate
+    running: int = 2  # after an earlier command
+    ready: int = 3  # without one, after motion led by other code
+
+
+LAW, START = LawCode(), StepStart()
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes dJ/dt: option reading = 1, 2, 3
-# A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
-MOVING, GIVEN, RUNNING, READY = range(4)
-FINE, NOT_FINITE, RUNAWAY = range(3)  # end of the loop: all steps taken, command not finite, move too large
 REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
 
 
@@ -46,9 +63,9 @@ EASING = Easing()
 class State(NamedTuple):
     """Names for the entries of the array that a tracker's loop keeps between steps; STATE.start etc. are the indices."""
 
-    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
+    start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
     period: int  # length of the last step [s]
-    stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
+    stop: int  # why the loop ended, a code of `loop.STOP`
     near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
     share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
     lowest: int  # value below which `share` is not lowered for now
@@ -66,7 +83,7 @@ STATE = State._make(range(len(State._fields)))
 class Law(NamedTuple):
     """A tracking method and its gains (0 if the method has no such gain); Python passes them to the loop as an array."""
 
-    code: float  # CV, AV, CA or AA
+    code: float  # LAW.cv, LAW.av, LAW.ca or LAW.aa
     kappa: float  # [1/s] gain of method cv (classical, velocity level)
     kp: float  # [1/s^2] gain of method ca (classical, acceleration level) on the error
     kd: float  # [1/s] gain of method ca on the error's rate
@@ -200,14 +217,14 @@ def prepare(p, inverse, target, rate, h, joints):
     code = int(p.code)
     for i in range(n):
         joints.move[i], joints.null[i] = 0.0, 0.0
-    if code == AV or code == AA:
+    if code == LAW.av or code == LAW.aa:
         for k in range(m):
             t[k] = target.ahead[k] - p.omit * target.e[k]
         apply(J, m, inverse.G, t, inverse.y, joints.move)
-    if code >= CA:
+    if code >= LAW.ca:
         apply_transposed(J, rate, t)
         apply(J, m, inverse.G, t, inverse.y, joints.null)
-        reading = int(p.reading) if code == AA else AT_RATE
+        reading = int(p.reading) if code == LAW.aa else AT_RATE
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
             # Without the null-space part a redundant arm would lose an order of accuracy.
@@ -227,7 +244,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
     J, t, x, null, move = inverse.J, inverse.t, joints.x, joints.null, joints.move
     n, m = J.shape
     code = int(p.code)
-    if code == CV:
+    if code == LAW.cv:
         for k in range(m):
             t[k] = target.v[k] + p.kappa * target.e[k]
         apply(J, m, inverse.G, t, inverse.y, x)
@@ -235,10 +252,10 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
             u = x[i]
             x[i] = u + 0.5 * ratio * (u - prev[i])
             prev[i] = u
-    elif code == AV:
+    elif code == LAW.av:
         for i in range(n):
             x[i] = move[i] / h
-    elif code == CA:
+    elif code == LAW.ca:
         apply_transposed(J, rate, t)
         for k in range(m):
             t[k] = target.a[k] + p.kd * (target.v[k] - t[k]) + p.kp * target.e[k] - target.bias[k]
@@ -257,9 +274,9 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
 @dual
 def natural(p, h):
     """Return the rate [1/s] at which a method removes an error when nothing limits it; 0 for a method without feedback."""
-    if p.code == CV:
+    if p.code == LAW.cv:
         return p.kappa
-    if p.code == CA:
+    if p.code == LAW.ca:
         return p.kp / p.kd if p.kd > 0.0 else 0.0
     return (1.0 - p.omit) / h
 
@@ -363,10 +380,10 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 @dual
 def settle(p, h, rate_before, x, code, prev):
     """Write the rates that clipped joints really took to `prev`, the previous command, to prevent wind-up."""
-    if p.code == CV or p.code == CA:
+    if p.code == LAW.cv or p.code == LAW.ca:
         for i in range(x.shape[0]):
             if code[i] > 0:
-                prev[i] = x[i] if p.code == CV else (x[i] - rate_before[i]) / h
+                prev[i] = x[i] if p.code == LAW.cv else (x[i] - rate_before[i]) / h
 
 
 @dual
@@ -376,7 +393,7 @@ def own_up(p, h, ratio, wanted, x, prev):
     wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0 at the start.
     """
     ahead = 0.5 * ratio
-    if p.code == CV or p.code == CA:
+    if p.code == LAW.cv or p.code == LAW.ca:
         for i in range(x.shape[0]):
             change = x[i] - wanted[i]
-            prev[i] += (change if p.code == CV else change / h) / (1.0 + ahead)
+            prev[i] += (change if p.code == LAW.cv else change / h) / (1.0 + ahead)

@@ -12,7 +12,7 @@ directions near singular poses, each joint clipped on its own.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -26,21 +26,7 @@ from ..kernel.vectors import apply_transposed, clear
 from .command import Moment, Published, copy_rows, lean, wanted
 from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
-from .laws import (
-    CLIP,
-    GIVEN,
-    MOVING,
-    NOT_FINITE,
-    READY,
-    RUNAWAY,
-    RUNNING,
-    STATE,
-    Law,
-    apply,
-    factor,
-    own_up,
-    settle,
-)
+from .laws import CLIP, START, STATE, Law, apply, factor, own_up, settle
 from .null_space_motion import SLACK, lay_aside, reflect, slack_rows
 from .singular_step import along_lost, by_modes
 from .viability import (
@@ -62,13 +48,23 @@ from .viability import (
 )
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
+
+class LoopEnd(NamedTuple):
+    """Codes of why the loop ended."""
+
+    fine: int = 0  # all steps are taken
+    not_finite: int = 1  # the command is not finite
+    runaway: int = 2  # the move is too large
+
+
+STOP = LoopEnd()
 LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above which a command counts as not finite
 
 
 @inner
 def set_out(law, J, f, G, y, limits, q, rate, state):
     """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited so that the joints can brake."""
-    if state[STATE.start] == MOVING:
+    if state[STATE.start] == START.with_target:
         factor(J, J.shape[1], law.damping, G, y)
         apply(J, J.shape[1], G, f, y, rate)
         for i in range(q.shape[0]):
@@ -78,7 +74,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
                 limits[LIMIT.speed, i], approach(gap, 0.0, law.gamma, 0.0, limits[LIMIT.acceleration, i], law.late)
             )
             rate[i] = min(max(rate[i], -top), top)
-    state[STATE.start] = READY
+    state[STATE.start] = START.ready
 
 
 @inline
@@ -175,7 +171,7 @@ def judge(wanted, h, p, state):
         clear(wanted)
     # In the other modes the rate bounds limit a command that is large but finite.
     elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
-        state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
+        state[STATE.stop] = STOP.not_finite if bad else STOP.runaway
         return True, still
     return False, still
 
@@ -285,7 +281,7 @@ def run(step, arm, given, own, samples, out, h, block):
                     reflect(s.flip, s.ahead)
                 break
             take_stock(task, look, s, V[i], A[i], plain, counts, E[i])
-            if state[STATE.start] == MOVING or state[STATE.start] == GIVEN:
+            if state[STATE.start] == START.with_target or state[STATE.start] == START.given:
                 set_out(law, s.J, s.f, s.G, s.y, limits, q, rate, state)
             copy(q, Q[i])
             copy(rate, R[i])
@@ -301,7 +297,7 @@ def run(step, arm, given, own, samples, out, h, block):
         copy(counts[0], s.weight)
         count = slack_rows(counts[1], s, count, h, state)
         square = error_squared(s.weight, s.e)
-        ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+        ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i] = min(max(state[STATE.near], 0.0), 1.0)
         quieten(law, s, rate, swings, h, state)
@@ -322,7 +318,7 @@ def run(step, arm, given, own, samples, out, h, block):
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
         # After a damped least-squares step the method has no previous command to continue from.
-        state[STATE.start] = RUNNING if mu == 0.0 else READY
+        state[STATE.start] = START.running if mu == 0.0 else START.ready
         state[STATE.period] = h
     return 0
 

@@ -44,15 +44,15 @@ NULL_DAMPING = TAKEN_UP
 
 # For each tracking method: its code in the compiled loop, its options, and a description of one line.
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
-    "cv": (laws.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
-    "av": (laws.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
-    "ca": (laws.CA, ("kp", "kd", "null_damping"), "acceleration level, error fed back with kp and kd (classical)"),
+    "cv": (laws.LAW.cv, ("kappa",), "velocity level, error fed back with kappa (classical)"),
+    "av": (laws.LAW.av, ("share",), "one Newton step a sample (alternative velocity level)"),
+    "ca": (laws.LAW.ca, ("kp", "kd", "null_damping"), "acceleration level, error fed back with kp and kd (classical)"),
     "aa": (
-        laws.AA,
+        laws.LAW.aa,
         ("reading", "share", "null_damping"),
         "acceleration that removes the error in one step (alternative)",
     ),
-    "aad": (laws.AA, ("gamma", "share", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
+    "aad": (laws.LAW.aa, ("gamma", "share", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
 }
 
 
@@ -252,7 +252,7 @@ def simulate(
         laws.factor(J, m, made.damping, G, y)
         inverse, aim = laws.PseudoInverse(J, G, G, y, np.empty(m)), laws.TargetMotion(E[-1], ahead, v, a, bias)
         laws.prepare(p, inverse, aim, rate, h, joints)
-        if p.code >= laws.CA:
+        if p.code >= laws.LAW.ca:
             bias[:] = system.rate(q, joints.x1, joints.x2)
         ratio = 0.0 if i == 0 and command0 is None else 1.0
         laws.command(p, inverse, aim, rate, prev, h, ratio, joints)

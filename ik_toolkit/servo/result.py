@@ -18,7 +18,8 @@ from ..robot.constraints import first_open
 from ..robot.ros import joint_trajectory
 from ..text import angle, length
 from ..validate import number
-from . import laws, viability
+from . import viability
+from .loop import STOP
 from .path_reach import Survey
 from .stability import GainCheck
 
@@ -271,15 +272,15 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
     """Return the status of a run for which `steps` were planned, and a sentence about it.
 
-    stop: why the loop ended (FINE, NOT_FINITE or RUNAWAY).
+    stop: why the loop ended (a code of STOP).
     """
     done = len(result.t) - 1
-    if stop in (laws.RUNAWAY, laws.NOT_FINITE):
-        what = "moved joints without bound" if stop == laws.RUNAWAY else "produced a step that is not finite"
+    if stop in (STOP.runaway, STOP.not_finite):
+        what = "moved joints without bound" if stop == STOP.runaway else "produced a step that is not finite"
         check = result.gain_check
         hint = check.message if check is not None and not check.stable else "Try aad, a higher rate, or joint limits."
         return (
-            TrackStatus.DIVERGED if stop == laws.RUNAWAY else TrackStatus.NOT_FINITE,
+            TrackStatus.DIVERGED if stop == STOP.runaway else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
         )
     limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & viability.ROW))

@@ -245,8 +245,8 @@ class Run:
         self._begin(way)
         kept = limits.copy()
         limits[[LIMIT.speed, LIMIT.acceleration]] = np.inf
-        if state[laws.STATE.start] == laws.GIVEN:
-            state[laws.STATE.start] = laws.MOVING
+        if state[laws.STATE.start] == laws.START.given:
+            state[laws.STATE.start] = laws.START.with_target
         made: list = []
         self._steps(samples, way, made, Counter())
         limits[:] = kept
@@ -396,4 +396,4 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
 
 def at_rest(tracker: Tracker) -> bool:
     """Return whether the joints start at rest: their rates are given, and 0."""
-    return bool(tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any())
+    return bool(tracker._state[laws.STATE.start] == laws.START.given and not tracker._rate.any())

@@ -13,7 +13,7 @@ from ..compile.jit import compiled, inline, inner
 from ..kernel.limits import LIMIT
 from ..kernel.records import copy
 from ..kernel.vectors import clear, dot
-from .laws import CV, REGION, STATE, natural
+from .laws import LAW, REGION, STATE, natural
 from .null_space_motion import bend
 from .singular_step import (
     ALONG,
@@ -167,7 +167,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state
-    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), WEAK.gain / h)
+    near, beyond, gain = False, False, law.kappa if law.code == LAW.cv else min(natural(law, h), WEAK.gain / h)
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
             continue

@@ -161,7 +161,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
         self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.CALMING.lasting
-        self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
+        self._forget(laws.START.given if rate is not None or self._at_rest else laws.START.with_target)
         for way in self._ways:
             way.begin()
         self._observer.reset(jumped=jumped)
@@ -278,7 +278,7 @@ class Tracker(CopiesViews, ReadOnly):
             self._goes = None
             self.take(samples, h, self._out, **how)
             return
-        self._forget(laws.READY)
+        self._forget(laws.START.ready)
         self._end(self.stream.last_of(samples), h, self._out, **how)
         self._code &= viability.RECOVERING  # Other limits are not reported: a joint move uses them fully.
         self._out.S[0], self._between = 0.0, None
@@ -391,7 +391,7 @@ class Tracker(CopiesViews, ReadOnly):
         move = (self._q - q / unit) / h
         viability.watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
         state, at = self._state, laws.STATE
-        state[at.start], state[at.free] = laws.READY, 0.0
+        state[at.start], state[at.free] = laws.START.ready, 0.0
         self._carried.memory[:], self._between = 0.0, guard.blocked
         self._end(self.stream.last_of(samples), h, out, **how)
         out.C[0] = np.where(self._rate == 0.0, viability.ROW, viability.ROW | viability.ACCELERATION) | (

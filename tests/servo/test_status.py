@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.servo import laws, viability
+from ik_toolkit.servo import loop, viability
 from ik_toolkit.servo.result import TrackResult, figures, verdict
 
 JOINTS = ("shoulder", "elbow")
 
 
-def made(error, *, turn=None, sigma=None, pace=None, limited=None, end=None, dt=0.1, settle=0.0, stop=laws.FINE):
+def made(error, *, turn=None, sigma=None, pace=None, limited=None, end=None, dt=0.1, settle=0.0, stop=loop.STOP.fine):
     """A run with these position errors [m] at its samples, judged at 1 mm and 0.1 deg."""
     error = np.asarray(error, dtype=float)
     steps = len(error) - 1
@@ -104,8 +104,8 @@ def test_errors_before_the_arm_has_settled_do_not_count():
 
 
 def test_a_stop_of_the_loop_comes_first():
-    assert made([0.0, 9.0], stop=laws.RUNAWAY).status.name == "DIVERGED"
-    assert made([0.0, 0.0], stop=laws.NOT_FINITE).status.name == "NOT_FINITE"
+    assert made([0.0, 9.0], stop=loop.STOP.runaway).status.name == "DIVERGED"
+    assert made([0.0, 0.0], stop=loop.STOP.not_finite).status.name == "NOT_FINITE"
 
 
 def test_the_clock_is_saved(tmp_path):

@@ -7,13 +7,13 @@ import pytest
 
 from ik_toolkit.servo import damped_descent
 from ik_toolkit.servo.damped_descent import adapt, descend, feedback, notice, stop_in_time, stuck
-from ik_toolkit.servo.laws import AA, CA, CLIP, CV, STATE, Law
+from ik_toolkit.servo.laws import CLIP, LAW, STATE, Law
 from ik_toolkit.servo.viability import CALMED, POSITION, VELOCITY, approach
 
 H = 0.01
 
 
-def law(code=CV, **values):
+def law(code=LAW.cv, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "kappa": 40.0, "kp": 60.0, "kd": 3.0, **values})
 
 
@@ -56,9 +56,9 @@ def standing(f=(0.0,) * 6, e=(1.0,) * 6, ahead=(1.0,) * 6):
 def test_what_is_fed_back():
     assert feedback(law(kappa=40.0), H) == 40.0
     assert feedback(law(kappa=90.0), H) == pytest.approx(2.0 / 3.0 / H)
-    assert feedback(law(CA), H) == 20.0
-    assert feedback(law(CA, kp=60.0, kd=0.0), H) == 0.0
-    assert feedback(law(AA), H) == pytest.approx(2.0 / 3.0 / H)
+    assert feedback(law(LAW.ca), H) == 20.0
+    assert feedback(law(LAW.ca, kp=60.0, kd=0.0), H) == 0.0
+    assert feedback(law(LAW.aa), H) == pytest.approx(2.0 / 3.0 / H)
 
 
 def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.servo import laws, null_space_motion, target_stream
-from ik_toolkit.servo.laws import CV, STATE, Law
+from ik_toolkit.servo.laws import LAW, STATE, Law
 
 
-def law(code=CV, **values):
+def law(code=LAW.cv, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
 
 

@@ -5,11 +5,11 @@ import pytest
 
 from ik_toolkit.servo import laws, loop
 from ik_toolkit.servo.constrained_step import Allowed
-from ik_toolkit.servo.laws import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
+from ik_toolkit.servo.laws import AT_RATE, AT_RATE_AND_STEP, AT_STEP, CLIP, LAW, STATE, Law
 from ik_toolkit.servo.viability import approach
 
 
-def law(code=CV, **values):
+def law(code=LAW.cv, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
 
 
@@ -69,7 +69,7 @@ def test_damping_fades_in_near_singular_poses():
             )
 
 
-@pytest.mark.parametrize("code", [CV, AV, CA, AA])
+@pytest.mark.parametrize("code", [LAW.cv, LAW.av, LAW.ca, LAW.aa])
 @pytest.mark.parametrize("ratio", [0.0, 0.8])
 def test_the_published_laws(code, ratio):
     rng = np.random.default_rng(code)
@@ -86,24 +86,26 @@ def test_the_published_laws(code, ratio):
         move, null, x1, x2, x = joints
         laws.factor(J, m, 0.0, G, y)
         laws.prepare(p, inverse, aim, rate, h, joints)
-        step = pinv @ (ahead - 0.3 * e) if code in (AV, AA) else np.zeros(n)
-        own = rate - pinv @ (J.T @ rate) if code >= CA else np.zeros(n)
+        step = pinv @ (ahead - 0.3 * e) if code in (LAW.av, LAW.aa) else np.zeros(n)
+        own = rate - pinv @ (J.T @ rate) if code >= LAW.ca else np.zeros(n)
         np.testing.assert_allclose(move, step, atol=1e-11)
         np.testing.assert_allclose(null, own, atol=1e-11)
-        if code >= CA:
+        if code >= LAW.ca:
             expected = step / h + own
-            first, second = {AT_RATE: (rate, rate), AT_RATE_AND_STEP: (rate, expected), AT_STEP: (expected, expected)}[
-                reading if code == AA else AT_RATE
-            ]
+            first, second = {
+                AT_RATE: (rate, rate),
+                AT_RATE_AND_STEP: (rate, expected),
+                AT_STEP: (expected, expected),
+            }[reading if code == LAW.aa else AT_RATE]
             np.testing.assert_allclose(x1, first, atol=1e-9)
             np.testing.assert_allclose(x2, second, atol=1e-9)
         laws.command(p, inverse, aim, rate, prev, h, ratio, joints)
-        if code == CV:
+        if code == LAW.cv:
             u = pinv @ (v + 3.0 * e)
             want = u + 0.5 * ratio * (u - old)
-        elif code == AV:
+        elif code == LAW.av:
             u, want = old, step / h
-        elif code == CA:
+        elif code == LAW.ca:
             u = pinv @ (a + 8.0 * (v - J.T @ rate) + 20.0 * e - bias) - 0.9 * own
             want = rate + h * (u + 0.5 * ratio * (u - old))
         else:
@@ -115,7 +117,7 @@ def test_the_published_laws(code, ratio):
 def test_large_errors_are_closed_no_faster_than_the_joints_brake():
     rng = np.random.default_rng(2)
     h, n, m = 0.01, 7, 6
-    for code, natural in ((CV, 4.0), (CA, 20.0 / 8.0), (AV, 100.0), (AA, 100.0)):
+    for code, natural in ((LAW.cv, 4.0), (LAW.ca, 20.0 / 8.0), (LAW.av, 100.0), (LAW.aa, 100.0)):
         p = law(code, kappa=4.0, kp=20.0, kd=8.0)
         J = rng.normal(size=(n, m))
         for size in (1e-6, 0.3, 5.0):
@@ -143,7 +145,7 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
 
 def test_slow_joints_are_spared_where_others_can_close_the_error():
     rng = np.random.default_rng(4)
-    p, h, n, m = law(CV, kappa=4.0), 0.01, 8, 4
+    p, h, n, m = law(LAW.cv, kappa=4.0), 0.01, 8, 4
     shares = np.array([1.0, 0.004, 0.5, 1.0, 0.03, 0.2, 1.0, 1.0])
     weights = np.array([1.0, 2.0**-8, 1.0, 1.0, 2.0**-6, 1.0, 1.0, 1.0])
     limits = np.array([np.full(n, -9.0), np.full(n, 9.0), 2.0 * shares, np.full(n, 5.0)])
@@ -167,7 +169,7 @@ def test_slow_joints_are_spared_where_others_can_close_the_error():
 
 def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
     """Two unit links nearly stretched out, a target beyond: the joints go some way, not the hundreds of radians of J^+ e."""
-    p, h, bend, limits = law(AA), 0.01, 0.01, np.array([[-9.0] * 2, [9.0] * 2, [2.0] * 2, [5.0] * 2])
+    p, h, bend, limits = law(LAW.aa), 0.01, 0.01, np.array([[-9.0] * 2, [9.0] * 2, [2.0] * 2, [5.0] * 2])
     J = np.array([[-np.sin(bend), 1.0 + np.cos(bend)], [-np.sin(bend), np.cos(bend)]])
     eased, G, y, c = {}, np.zeros((2, 2)), np.empty(2), np.empty(2)
     laws.factor(J, 2, 0.0, G, y)
@@ -188,15 +190,17 @@ def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
 
 def test_what_was_held_back_becomes_the_earlier_command():
     before, x, code = np.array([1.0, 2.0, 3.0]), np.array([1.5, 1.0, 9.0]), np.array([1, 0, 4])
-    for kind, want in ((CV, [1.5, 7.0, 9.0]), (CA, [5.0, 7.0, 60.0]), (AV, [7.0] * 3), (AA, [7.0] * 3)):
+    for kind, want in ((LAW.cv, [1.5, 7.0, 9.0]), (LAW.ca, [5.0, 7.0, 60.0]), (LAW.av, [7.0] * 3), (LAW.aa, [7.0] * 3)):
         prev = np.full(3, 7.0)
         laws.settle(law(kind), 0.1, before, x, code, prev)
         np.testing.assert_allclose(prev, want)
     wanted, h, ratio = np.array([1.0, 2.0, 3.0]), 0.1, 0.8
-    for kind in (CV, AV, CA, AA):
+    for kind in (LAW.cv, LAW.av, LAW.ca, LAW.aa):
         prev = np.full(3, 7.0)
         laws.own_up(law(kind), h, ratio, wanted, x, prev)
-        change = (x - wanted) / {CV: 1.0, CA: h}.get(kind, np.inf) / 1.4  # the rates taken are u + ratio/2 (u - old)
+        change = (
+            (x - wanted) / {LAW.cv: 1.0, LAW.ca: h}.get(kind, np.inf) / 1.4
+        )  # the rates taken are u + ratio/2 (u - old)
         np.testing.assert_allclose(prev, 7.0 + change, rtol=1e-13)
 
 

@@ -8,11 +8,11 @@ import pytest
 from ik_toolkit.kernel.search import SINGULAR_STEP
 from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
 from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
-from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
+from ik_toolkit.servo.laws import CLIP, LAW, START, STATE, Law
 from ik_toolkit.servo.viability import HELD
 
 
-def law(code=CV, **values):
+def law(code=LAW.cv, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": LEAVE, **values})
 
 
@@ -53,16 +53,16 @@ def test_the_rate_at_the_start():
     own = np.linalg.pinv(J.T) @ f
     for at in (0.0, 0.995):
         q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
-        state[STATE.start] = MOVING
+        state[STATE.start] = START.with_target
         loop.set_out(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
         gaps = [max(viability.way_to(np.copysign(1.0, v), at, np.copysign(1.0, v)), 0.0) for v in own]
         top = np.array([min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps])
         np.testing.assert_allclose(rate, np.clip(own, -top, top), rtol=1e-9)
-        assert state[STATE.start] == READY
-    state[STATE.start] = GIVEN
+        assert state[STATE.start] == START.ready
+    state[STATE.start] = START.given
     loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
     np.testing.assert_array_equal(rate, own)
-    assert state[STATE.start] == READY
+    assert state[STATE.start] == START.ready
 
 
 def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
@@ -83,7 +83,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         s = SimpleNamespace(x=np.array([3.0, 0.2, -3.0]), floor=np.full(3, -1.0), roof=np.ones(3), before=np.array([0.5, 0.1, 0.0]),
                             why_low=np.array([1, 1, 2], np.uint8), why_top=np.array([4, 1, 2], np.uint8))  # fmt: skip
         memory, code = np.full(3, 7.0), np.zeros(3, np.uint8)
-        loop.clip_rates(law(CA), s, still, 0.1, memory, code)
+        loop.clip_rates(law(LAW.ca), s, still, 0.1, memory, code)
         np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
@@ -113,12 +113,12 @@ def test_wishes_are_found_and_added():
         np.testing.assert_allclose(s.g, want, atol=1e-12)
         s.null = null(s.J) @ rng.normal(size=n)
         for code, h, damped in (
-            (CV, 0.01, 2.0),
-            (AV, 0.01, 2.0),
-            (CA, 0.01, 2.0),
-            (CA, 0.2, 2.0),
-            (AA, 0.01, 0.0),
-            (AA, 0.01, 40.0),
+            (LAW.cv, 0.01, 2.0),
+            (LAW.av, 0.01, 2.0),
+            (LAW.ca, 0.01, 2.0),
+            (LAW.ca, 0.2, 2.0),
+            (LAW.aa, 0.01, 0.0),
+            (LAW.aa, 0.01, 40.0),
         ):
             s.x[:], memory = base, np.full(n, 7.0)
             command.add_wishes(
@@ -126,11 +126,11 @@ def test_wishes_are_found_and_added():
             )
             # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more,
             # or in one step (ca: two thirds of it).
-            rate = max(min(20.0, (2.0 / 3.0 if code == CA else 1.0) / h), damped)
+            rate = max(min(20.0, (2.0 / 3.0 if code == LAW.ca else 1.0) / h), damped)
             much = np.linalg.norm(want) / (np.linalg.norm(want) + command.LITTLE)
-            more = min(rate * h, 1.0) * much * (want - (1.0 - damped / rate) * s.null) if code >= CA else want
-            kept = {CV: 1.0, CA: 1.0 / h}.get(code, 0.0)
-            np.testing.assert_allclose(s.x, base + (1.3 if code in (CV, CA) else 1.0) * more, atol=1e-12)
+            more = min(rate * h, 1.0) * much * (want - (1.0 - damped / rate) * s.null) if code >= LAW.ca else want
+            kept = {LAW.cv: 1.0, LAW.ca: 1.0 / h}.get(code, 0.0)
+            np.testing.assert_allclose(s.x, base + (1.3 if code in (LAW.cv, LAW.ca) else 1.0) * more, atol=1e-12)
             np.testing.assert_allclose(memory, 7.0 + kept * more, atol=1e-12)
     assert not command.find_wishes(law(mode=CLIP), s, limits, wish, base)
     assert not command.find_wishes(law(), s, limits, 0.0 * wish, base)

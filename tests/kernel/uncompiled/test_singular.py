@@ -8,7 +8,7 @@ import pytest
 
 from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
 from ik_toolkit.servo.constrained_step import LEAVE
-from ik_toolkit.servo.laws import AV, CV, STATE, Law
+from ik_toolkit.servo.laws import LAW, STATE, Law
 from ik_toolkit.servo.singular_step import WEAK
 from ik_toolkit.servo.viability import approach
 from ik_toolkit.servo.workspace import bench_on, bench_space
@@ -165,7 +165,7 @@ class Curved:
         out[:] = np.einsum("i,j,ijm->m", x, y, self.B)
 
 
-@pytest.mark.parametrize("code", [CV, AV])
+@pytest.mark.parametrize("code", [LAW.cv, LAW.av])
 @pytest.mark.parametrize("n", [5, 7])
 def test_only_the_singular_direction_leaves_the_task(code, n):
     rng = np.random.default_rng(n)
@@ -196,7 +196,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             motion=np.array([np.zeros(n), rate]), memory=memory, away=away, basis=np.zeros((m, m)), state=state
         )
         lost = command.by_law(law, None, task, None, None, s, settings, own, command.Moment(0, h))
-        want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
+        want = U.T @ (f + 4.0 * e if code == LAW.cv else ahead / h)
         done = U.T @ (J.T @ s.x)
         if state[STATE.near] != 1.0 + WEAK.side:  # else the others are fed back less
             np.testing.assert_allclose(done[: k - 1], want[: k - 1], atol=1e-9)
@@ -214,7 +214,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
                 x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - along * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
-            gain = 4.0 if code == CV else 2.0 / 3.0 / h
+            gain = 4.0 if code == LAW.cv else 2.0 / 3.0 / h
             known = near > 0.0 or last < singular_step.WEAK.clear
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
@@ -225,7 +225,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             one = SimpleNamespace(V=v[None], t=curve, lost=lost_, xk=xk)
             singular_directions.mode_speed(one, mode, gain, h, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
-            if code == CV:
+            if code == LAW.cv:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
 
 

@@ -20,12 +20,12 @@ from ik_toolkit.servo.constrained_step import (
     constrain,
     make_room,
 )
-from ik_toolkit.servo.laws import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
+from ik_toolkit.servo.laws import AT_RATE_AND_STEP, LAW, START, STATE, Law
 from ik_toolkit.servo.viability import RECOVERING, ROW
 from ik_toolkit.servo.workspace import bench_on, bench_space
 
 
-def law(code=CV, **values):
+def law(code=LAW.cv, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": LEAVE, **values})
 
 
@@ -33,7 +33,7 @@ def bench(n, m, rows=3):
     return bench_on(np.zeros(bench_space(n, m, rows)), n, m, rows)
 
 
-@pytest.mark.parametrize("code", [CV, AV, CA, AA])
+@pytest.mark.parametrize("code", [LAW.cv, LAW.av, LAW.ca, LAW.aa])
 def test_a_law(code):
     rng = np.random.default_rng(code)
     chain, rows, base, tip = arms.arm(rng, "tttsttt")
@@ -48,7 +48,7 @@ def test_a_law(code):
     s.e[:], s.ahead[:], s.f[:], s.a[:] = rng.normal(size=(4, m)) * 0.1
     rate, memory = rng.normal(size=n), rng.normal(size=n)
     old, state = memory.copy(), np.zeros(len(STATE))
-    state[STATE.start], state[STATE.period] = RUNNING, 0.04
+    state[STATE.start], state[STATE.period] = START.running, 0.04
     rule = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=AT_RATE_AND_STEP)
     limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 1e12), np.full(n, np.inf)])
     settings = SimpleNamespace(counts=np.zeros((3, m)), limits=limits, wish=np.zeros((3, n)))
@@ -61,14 +61,14 @@ def test_a_law(code):
     pinv = np.linalg.pinv(J.T)
     step, own = pinv @ s.ahead, rate - pinv @ (J.T @ rate)
     bias = np.empty(m)
-    if code >= CA:
-        p.bending(look, rate, rate if code == CA else step / h + own, bias)
-    if code == CV:
+    if code >= LAW.ca:
+        p.bending(look, rate, rate if code == LAW.ca else step / h + own, bias)
+    if code == LAW.cv:
         u = pinv @ (f + 3.0 * s.e)
         want = u + 0.5 * ratio * (u - old)
-    elif code == AV:
+    elif code == LAW.av:
         u, want = old, step / h
-    elif code == CA:
+    elif code == LAW.ca:
         u = pinv @ (s.a + 8.0 * (f - J.T @ rate) + 20.0 * s.e - bias) - 0.9 * own
         want = rate + h * (u + 0.5 * ratio * (u - old))
     else:
