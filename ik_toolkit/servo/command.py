@@ -16,6 +16,8 @@ from ..kernel.search import SINGULAR_STEP
 from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .constrained_step import Allowed
 from .laws import (
+    AT_RATE,
+    AT_STEP,
     CLIP,
     LAW,
     REGION,
@@ -145,8 +147,8 @@ def add_wishes(law, s, given, ratio, h, memory):
 def feed_back(law, s, limits, now, heavy, beyond):
     """Shrink the error that is fed back (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
 
-    heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether limits or inequality constraints
-    block the way that the error asks for, or shrink the error.
+    heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether joint limits or
+    inequality constraints block the way that the error asks for.
     """
     n, m = s.J.shape
     if beyond:
@@ -205,13 +207,15 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
     else:
         remember(state, False, False, h)
-    held = feed_back(law, s, limits, now, heavy, beyond)
+    blocked = feed_back(law, s, limits, now, heavy, beyond)
     joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= LAW.ca:
-        if held:  # The joints do not take the step s / h, so dJ/dt is taken along the present rates.
-            copy(rate, s.x1)
-            copy(rate, s.x2)
+        # Blocked joints do not take the step s / h, so the terms with dJ/dt along that step are left out.
+        if blocked and law.code == LAW.aa and law.reading != AT_RATE:
+            for i in range(n):
+                s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
+                s.x2[i] = 0.0
         bend(task, look, s, weighed)
     if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
         for k in range(m):

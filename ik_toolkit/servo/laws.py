@@ -352,7 +352,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and
     oscillates for ever. For joints at their position limits the error is not shrunk. If such joints or inequalities block the
     correction J^+ e, it is computed again with damping from brisk.bend, because the real motion along a nearly singular direction
-    is much shorter. If allowed.rows is -1, neither is checked. c (n,) is scratch. Returns whether limits block or shrink it.
+    is much shorter. If allowed.rows is -1, neither is checked. c (n,) is scratch. Returns whether the correction is blocked.
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
@@ -374,7 +374,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
         for k in range(m):
             target.ahead[k] -= (1.0 - f) * e[k]
             e[k] *= f
-    return blocked or f < 1.0
+    return blocked
 
 
 @dual

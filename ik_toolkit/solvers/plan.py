@@ -282,8 +282,8 @@ class Plan:
         what, names = self._start_name(Q, int(rows[0])), ", ".join(robot.outside(Q[rows[0]]))
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"{what} is outside the limits at joint {names}")
-        others = f", and so were those of {len(rows) - 1} others" if len(rows) > 1 else ""
-        return inside, f"{what} was outside the limits at joint {names} and was clamped{others}"
+        count = f"; {len(rows)} of {len(Q)} starts were" if len(rows) > 1 else ""
+        return inside, f"{what} was outside the limits at joint {names} and was clamped{count}"
 
     @staticmethod
     def _start_name(Q: np.ndarray, k: int) -> str:

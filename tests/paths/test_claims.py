@@ -137,8 +137,7 @@ def test_what_ends_a_path_early_is_told():
     assert lost.status == PathStatus.INCOMPLETE and [one.index for one in lost.unreachable] == [98]
     assert lost.message == (
         f"{np.isfinite(lost.q[:, 0]).sum()} of 101 poses reached; not pose 98: {lost.unreachable[0].reason}; from the start "
-        f"{100 * lost.fraction:.3g} % of its length can be followed in one motion; move the "
-        "poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
+        f"{100 * lost.fraction:.3g} % of its length can be followed in one motion; move the poses inside the reach"
     )
     assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
 

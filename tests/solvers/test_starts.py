@@ -46,6 +46,6 @@ def test_rows_of_a_batch_are_named_and_counted():
     T, q = robot.fk(robot.home).homogeneous, np.tile(robot.home, (5, 1))
     q[[1, 3], 2] = 4.0
     said = ik.solve_batch(robot, [T] * 5, q0=q).notice
-    assert "target 1 " in said and "1 other" in said and robot.joint_names[2] in said
+    assert "target 1 " in said and "2 of 5 starts" in said and robot.joint_names[2] in said
     with pytest.raises(InvalidConfiguration, match="q0 of target 1 is outside"):
         ik.solve_batch(robot, [T] * 5, q0=q, q0_outside="refuse")

@@ -137,8 +137,8 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                 eased, front = e.copy(), ahead.copy()
                 walls, brisk = walls_of(np.empty((0, n)), np.empty(0), -1), laws.Briskness(0.5, 0.4, 0.0)
                 inverse, aim = laws.PseudoInverse(J, G, np.zeros((n, n)), y, np.empty(m)), target(eased, front)
-                held = laws.ease(p, inverse, aim, h, np.zeros(n), limits, walls, brisk, c)
-                assert held == (f < 1.0)
+                blocked = laws.ease(p, inverse, aim, h, np.zeros(n), limits, walls, brisk, c)
+                assert not blocked
                 np.testing.assert_allclose(eased, f * e, rtol=1e-9)
                 np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
 
@@ -182,8 +182,9 @@ def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
             laws.Briskness(1.0, 0.5, curved),
         )
         inverse = laws.PseudoInverse(J, G, np.zeros((2, 2)), y, np.empty(2))
-        assert laws.ease(p, inverse, target(e, ahead), h, np.array([at, at]), limits, walls, brisk, c)
+        blocked = laws.ease(p, inverse, target(e, ahead), h, np.array([at, at]), limits, walls, brisk, c)
         eased[name] = e[0]
+        assert blocked == (name != "free")
     assert eased["free"] < 1e-3 and eased["near"] < 1e-3
     assert eased["at its limit"] > 10.0 * eased["free"] and eased["wall"] > 10.0 * eased["free"]
 
