@@ -133,7 +133,12 @@ def _find(
         found._put(complete=False)
     if not len(found):
         failed = solver(target, q0)
-        if not failed.success:
+        if failed.success and found.complete and kinds == POSES:
+            # The exact solutions are beyond a limit, but a configuration inside the limits is within the tolerances.
+            errors = np.array([failed.position_error]), np.array([failed.orientation_error])
+            distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
+            found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
+        elif not failed.success:
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
