@@ -20,7 +20,7 @@ from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
 from .self_motion import END, FOLLOWING, SelfMotion, self_motions, slicings_of
-from .solutions import TOGETHER, Solutions, SolutionsBatch
+from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
@@ -66,8 +66,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         if plain:
             target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
         more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
-        for a in range(0, len(target), TOGETHER):
-            some = target[a : a + TOGETHER]
+        for a in range(0, len(target), 1024):  # so many take 5 MB
+            some = target[a : a + 1024]
             lists.append(_certain(plan, some, q0, count) if plain else None)
             for k, one in enumerate(some):
                 if plain and not more and lists[-1].counts[k][1] > 0:
@@ -134,7 +134,12 @@ def _find(
         found._put(complete=False)
     if not len(found):
         failed = solver(target, q0)
-        if not failed.success:
+        if failed.success and found.complete and kinds == POSES:
+            # The exact solutions are beyond a limit, but a configuration inside the limits is within the tolerances.
+            errors = np.array([failed.position_error]), np.array([failed.orientation_error])
+            distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
+            found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
+        elif not failed.success:
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:

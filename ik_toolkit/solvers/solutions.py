@@ -12,10 +12,6 @@ from .closed_form.geometry import Family
 
 __all__ = ["Family", "Solutions", "SolutionsBatch"]
 
-TOGETHER = 1024  # poses of a batch that are listed by one call of compiled code; so many take 5 MB
-# where `every.CertainLists` has the attributes of Solutions
-COLUMNS = {"q": slice(3, None), "distance": 2, "position_error": 0, "orientation_error": 1}
-
 
 class Solutions(ReadOnly):
     """Distinct solutions of one target, nearest to q0 first; len(), indexing and iteration give the rows of q.
@@ -140,19 +136,21 @@ class SolutionsBatch(ReadOnly):
     """
 
     def __init__(self, each: list[Solutions | None], lists: Sequence[Any]) -> None:
-        """Join the solutions of the targets; those of target k that are None are made by lists[k // TOGETHER] when asked for."""
+        """Join the solutions of the targets; those of target k that are None are made by `lists`, all of one size."""
         self._each, self._lists = each, lists
+        self._size = len(lists[0].counts) if lists and lists[0] else 1
         counts = [len(self._rows(k) if one is None else one) for k, one in enumerate(each)]
         self.target = np.repeat(np.arange(len(each)), counts)
         self.complete = np.array([one is None or one.complete for one in each], dtype=bool)
         self._seal()
 
     def _rows(self, k: int) -> np.ndarray:
-        return self._lists[k // TOGETHER].rows(k % TOGETHER)
+        return self._lists[k // self._size].rows(k % self._size)
 
     def _joined(self, name: str) -> np.ndarray | None:
+        columns = {"q": slice(3, None), "distance": 2, "position_error": 0, "orientation_error": 1}
         parts: list[Any] = [
-            getattr(one, name) if one is not None else self._rows(k)[:, COLUMNS[name]]
+            getattr(one, name) if one is not None else self._rows(k)[:, columns[name]]
             for k, one in enumerate(self._each)
         ]
         return None if not parts or parts[0] is None else np.concatenate(parts)
@@ -173,7 +171,7 @@ class SolutionsBatch(ReadOnly):
         if isinstance(k, slice):
             return [self[i] for i in at]
         if self._each[at] is None:
-            self._each[at] = self._lists[at // TOGETHER].solutions(at % TOGETHER)
+            self._each[at] = self._lists[at // self._size].solutions(at % self._size)
         return self._each[at]
 
     def __repr__(self) -> str:

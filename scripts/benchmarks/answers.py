@@ -245,7 +245,7 @@ def paths(found: Found) -> Answer:
     fewest, enumerated = (sum(t[key] for t in truth) for key in ("equal", "paths"))
     words = (
         f"**{valid} of {seeds} paths are valid**, found in {span(times)} s of processor time with collision checks and the proof"
-        f" of continuity. Of {enumerated} random paths whose true minimum was enumerated, {fewest} have as few reconfigurations as"
+        f" of continuity. Of {enumerated} random paths whose true minimum is known, {fewest} have as few reconfigurations as"
         " there can be. *Valid*: every pose within 0.1 mm and 0.1 deg, small steps, inside the limits, no contact, judged by"
         " Pinocchio and coal."
     )

@@ -38,6 +38,10 @@ solvers get only the first few targets, and their ratio is computed on these. EA
 from C++, with a filter for joint limits, it is not measured, because the package ships no headers to compile against. Everything is
 done three times with different targets: times and ratios are medians over these rounds, successes are added up.
 """
+EVERY = """\
+Packages that list all solutions of an arm with six joints. UR5 has three parallel axes, Z1 a wrist. Only `ik_all` applies limits
+and says whether its list is complete. Targets, timing and judgement are those of the single solves.
+"""
 SERVO = """\
 Simulated time, 100 samples a second. Every method gets the same stream of targets (without velocities), the same start and the same
 limits on position, speed and acceleration; mink has no acceleration limits. *Best* is the result of a search that continues from
@@ -98,6 +102,7 @@ rotation of the revolute joints, the shortest known one TORM's. Times by the clo
 """
 PAGES = (
     Page("single_solves", "Single solves", "solve", SOLVE),
+    Page("every_solution", "Every solution", "every", EVERY),
     Page("published", "Published tables", "published", PUBLISHED),
     Page("success", "Success", "success"),
     Page("batches", "Batches", "batch"),

@@ -34,6 +34,7 @@ PEERS = (
     Peer("ik", "ik_bound", (), "bound solver `lm`, no start given (near starts: given)"),
     Peer("ik_q0", "ik_given", (), "the same, with the start that the others get"),
     Peer("ik.solve", "ik_solve", (), "`ik.solve`, everything on: checks of input, Pinocchio's check of the answer"),
+    Peer("ik_all", "ik_all", (), "every solution within the limits, certified (`Solver.all`)", six=True),
     Peer("rtb", "rtb", ("roboticstoolbox-python",), "Robotics Toolbox, `ik_LM(k=0.1)`, C++"),
     Peer(
         "rtb_free",

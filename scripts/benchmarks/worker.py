@@ -59,6 +59,14 @@ def ik_given(s):
     return ik_bound(s, given=True)
 
 
+def ik_all(s):
+    import ik_toolkit as ik
+
+    robot = ik.Robot.load(s.urdf, tip=s.tip, base=s.base)
+    bound = ik.Solver(robot, position_tolerance=s.tol_p, orientation_tolerance=s.tol_r)
+    return lambda T, q0: bound.all(T).q, list
+
+
 def ik_solve(s):
     import ik_toolkit as ik
 

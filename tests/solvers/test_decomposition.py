@@ -68,13 +68,14 @@ def ask(arm, Q, forms, within=0.0):
     return [one[1 : 1 + int(one[0, 0]), :6] for one in found], found[:, 0, 1], found
 
 
-def wrist_robot(tmp_path, limit):
-    """A robot with a wrist whose joints have the limits -limit and limit."""
+def wrist_robot(tmp_path, limit, scale=1.0):
+    """A robot with a wrist whose joints have the limits -limit and limit; scale: a factor of all lengths."""
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
     steps = ("0 0 0.4", "0.1 0 0", "0 0 0.7", "0.1 0 0.1", "0.6 0 0", "0 0 0")
     path = tmp_path / "wrist.urdf"
     text = robots.urdf(*(
-        dict(kind="revolute", axis=axis, xyz=xyz, limits=(-limit, limit)) for axis, xyz in zip(axes, steps, strict=True)
+        dict(kind="revolute", axis=axis, xyz=" ".join(str(scale * float(x)) for x in xyz.split()), limits=(-limit, limit))
+        for axis, xyz in zip(axes, steps, strict=True)
     ))  # fmt: skip
     path.write_text(text)
     return ik.Robot.load(path), SecondFK(text)
@@ -263,6 +264,20 @@ def test_an_angle_that_rounded_axes_leave_almost_free_adds_no_wrong_solutions():
     assert (verdict == CERTAIN).mean() > 0.9  # the decomposition alone is sure of none of them
     for q, some in zip(Q, listed, strict=True):
         assert all(np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-10 for x in some)
+
+
+def test_a_list_is_not_called_complete_where_solving_finds_a_pose_within_the_tolerances(tmp_path):
+    """As for an arm of millimetres, where 1e-6 m is much: its exact solution is beyond a limit, one at the limit will do."""
+    robot, rng = wrist_robot(tmp_path, 1.5, 1e-3)[0], np.random.default_rng(3)
+    solver, seen = ik.Solver(robot, orientation_tolerance=1e-3), 0
+    for _ in range(20):
+        q = rng.uniform(-1.4, 1.4, 6)
+        q[5] = 1.5 + rng.uniform(2e-4, 8e-4)
+        T = robot.chain.forward(q[None])[0][0]
+        found, result = solver.all(T), solver(T)
+        assert not found.complete or len(found) or not result.success
+        seen += result.success and len(found) > 0
+    assert seen > 5
 
 
 # ---------------------------------------------------------------------------------------------------------------------- families
