@@ -1,6 +1,5 @@
 """What a command shows: results as tables or JSON on stdout; notices and progress on stderr."""
 
-import functools
 import json
 import logging
 import math
@@ -33,14 +32,8 @@ def notice(text: str) -> None:
         pass
 
 
-@functools.cache
-def notice_once(text: str) -> None:
-    """Print one line of prose on stderr, the first time only."""
-    notice(text)
-
-
 class LogNotices(logging.Handler):
-    """Shows the package's log on stderr; compilation is reported only once.
+    """Shows the package's log on stderr, each message only once.
 
     hint: advice appended to warnings about angles that look like degrees.
     """
@@ -49,14 +42,17 @@ class LogNotices(logging.Handler):
         """Handle every level."""
         super().__init__()
         self.hint = hint
+        self.shown: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a log record."""
+        said = record.getMessage()
+        text = f"{record.levelname.lower()}: {said}{self.hint if said.endswith('degrees meant?') else ''}"
         if record.name == "ik_toolkit.compile":
-            notice_once(f"compiling the solver ({record.args[1]}) ...")  # type: ignore[index]
-        else:
-            said = record.getMessage()
-            notice(f"{record.levelname.lower()}: {said}{self.hint if said.endswith('degrees meant?') else ''}")
+            text = f"compiling the solver ({record.args[1]}) ..."  # type: ignore[index]
+        if text not in self.shown:
+            self.shown.add(text)
+            notice(text)
 
 
 def partial(output: Path) -> Path:

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from ..errors import InvalidOption
 from ..text import figure, length
 from .command import PLOTS, command, option, options
@@ -70,20 +72,19 @@ def reach(
         name: value for name, value in given(asked).items() if name in ("resolution", "priority", "seed", "threads")
     }
     more: dict[str, Any] = {**given(tolerances), **around.read(arm), **unchanged, "orientations": turns, "audit": audit}
-    stopped = False
+    stopped, lost = False, None
     with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
         try:
             found = reachability(arm, region, executor=executor, file=asked.output, progress=step, **more)
         except ReachabilityInterrupted as interrupt:
             found, stopped = interrupt.result, True
         except MapNotSaved as failure:
-            found, stopped = failure.result, True
-            notice(f"ik: {failure.__cause__ or failure.args[0].partition(';')[0]}")
+            found, lost = failure.result, failure.args[0].partition(";")[0]
     counts = found.counts()
     if stopped:
         kept = f"; they are in {partial(asked.output)}" if asked.output is not None else ""
         notice(f"partial: {found.states.size - counts['untried']:,} of {found.states.size:,} answers{kept}")
-    else:
+    elif lost is None:
         _draw(found, arm, asked)
     write_json(found.to_dict(), out.as_json)
     if not out.as_json:
@@ -92,6 +93,11 @@ def reach(
         show(words | {"audit": str(found.audit)})
     if stopped:
         raise KeyboardInterrupt
+    if lost is not None and asked.output is not None:
+        notice(
+            f"ik: {lost}. {partial(asked.output)} has what fitted; with more space the same command goes on from there"
+        )
+        raise typer.Exit(2)
 
 
 def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:

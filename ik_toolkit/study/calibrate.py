@@ -75,7 +75,7 @@ def calibrate(
         )
     spread, sigma = prior_spread(prior), read_noise(noise)
     arm = DrawnArm(robot, groups)
-    _require_enough(arm, data)
+    _require_enough(arm, data, Q)
     sign, share = joint_signs(robot, groups, data, Q)
     arm.sign[:] = sign
     if what in ("pose", "position"):
@@ -113,7 +113,7 @@ def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:
     return Q
 
 
-def _require_enough(arm: DrawnArm, data: Measurements) -> None:
+def _require_enough(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> None:
     """Raise InvalidTarget if there are too few measured numbers: they must determine about two thirds of the arm's unknowns."""
     unknowns = (
         (2 * len(arm.unknowns) + 2) // 3
@@ -121,10 +121,12 @@ def _require_enough(arm: DrawnArm, data: Measurements) -> None:
         - 3 * len(data.places if data.places is not None else ())
         - len(data.pairs)
     )
-    if len(data) * data.per < unknowns:
+    count = len(np.unique(np.column_stack([Q, data.labels]), axis=0))
+    if count * data.per < unknowns:
         need = -(-unknowns // data.per)
+        which = "measurements" if count == len(data) else f"configurations that differ, of {len(data)} measurements"
         raise InvalidTarget(
-            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: "
+            f"{count} {which} of kind '{data.what}' are {count * data.per} numbers for some {unknowns} unknowns: "
             f"measure at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less: parameters=('joints',)"
         )
 

@@ -53,6 +53,12 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     if found.implausible:
         remedy = "look at units, labels and rows of the data, or give a larger prior="
         said.append(f"larger than assumed ({remedy}): {', '.join(found.implausible[:6])}")
+    different = len(np.unique(found.q, axis=0))
+    if found.what in ("pose", "position") and different < len(found.q):
+        said.append(
+            f"only {different} of the {len(found.q)} configurations differ: one measured again averages noise alone, and a copied "
+            "row makes the intervals too narrow"
+        )
     count = kept * WHAT[found.what]
     if count < FEW * found.rank:
         said.append(f"only {count} numbers for {found.rank} errors: outliers and intervals are uncertain; measure more")
@@ -61,7 +67,7 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
         more = (
             "add 'frames' to parameters"
             if "frames" not in found.parameters
-            else "look for wrong units, rows or tips, or play in joints"
+            else "look for wrong units, rows, columns of joints or tips, or play in joints"
         )
         said.append(f"what is left, {length(found.rms[1])}, is more than noise: {more}")
     return (

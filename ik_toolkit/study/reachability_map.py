@@ -1,6 +1,7 @@
 """The reachability map of a robot: its cells and their answers, queries, and its file."""
 
 import json
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -342,8 +343,11 @@ class Log:
             write(self.stream)
             self.stream.flush()
             self.good = self.stream.tell()
-        except OSError as error:  # The disk is full: the study goes on, and says so at its end.
+        except OSError as error:  # The disk is full: the study goes on.
             self.broken = OSError(error.errno, error.strerror, str(self.path))
+            logging.getLogger("ik_toolkit").warning(
+                "%s: %s; what is computed from here on is lost if the study is stopped", self.path, error.strerror
+            )
 
     def close(self, finished: bool) -> None:
         """Close the file, and remove it if the map was written."""

@@ -12,7 +12,7 @@ import pytest
 from numba import config
 from numba.core.serialize import dumps
 
-from ik_toolkit.cli import main, output
+from ik_toolkit.cli import main
 from ik_toolkit.cli.options import RobotOptions
 from ik_toolkit.compile import cache
 
@@ -175,7 +175,6 @@ def test_the_command_says_that_it_compiles_only_when_it_does(double, capsys, mon
     """With a small kernel for that of a solver."""
     load = RobotOptions.load
     monkeypatch.setattr(RobotOptions, "load", lambda *words: double.use() or load(*words))
-    output.notice_once.cache_clear()
     for said in ("compiling the solver (first use on this machine, up to half a minute) ...\n", ""):
         assert main(["fk", "planar_2r", "--q", "0,0"]) == 0
         assert capsys.readouterr().err == said

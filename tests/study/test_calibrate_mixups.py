@@ -46,3 +46,24 @@ def test_an_error_far_beyond_the_prior_is_not_credible_until_the_prior_allows_it
     found = ik.calibrate(arm, Q, at, parameters=("joints",))
     assert found.implausible == ("elbow_pitch.offset",) and not found.credible
     assert ik.calibrate(arm, Q, at, parameters=("joints",), prior=(0.01, 0.35)).credible
+
+
+def test_copied_rows_are_not_new_measurements(data):
+    arm, Q, at = data
+    assert not any("differ" in note for note in ik.calibrate(arm, Q, at, parameters=("joints",)).notes)
+    found = ik.calibrate(arm, np.tile(Q[:15], (3, 1)), np.tile(at[:15], (3, 1)), parameters=("joints",))
+    assert any("only 15 of the 45 configurations differ" in note for note in found.notes)
+    with pytest.raises(
+        InvalidTarget, match="6 configurations that differ, of 60 measurements of kind 'position' are 18 numbers"
+    ):
+        ik.calibrate(arm, np.tile(Q[:6], (10, 1)), np.tile(at[:6], (10, 1)))
+
+
+def test_a_blank_line_is_said_once(data, tmp_path, capsys):
+    """The file is read twice, for the joints and for the positions."""
+    arm, Q, at = data
+    rows = [",".join(map(str, row)) for row in np.hstack([Q, at])]
+    file = tmp_path / "m.csv"
+    file.write_text("\n".join([",".join([*arm.joint_names, "x", "y", "z"]), *rows[:4], "", *rows[4:]]))
+    assert main(["calibrate", "hydrolek_7w", "--data", str(file), "--parameters", "joints"]) == 0
+    assert capsys.readouterr().err.count("blank line") == 1

@@ -215,13 +215,22 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path, monkeypatch):
         ik.reachability(robot, BOX, file=file, **{**asked, "resolution": 0.2})
 
 
-def test_a_full_disk_loses_nothing_finished(tmp_path):
+def test_a_full_disk_loses_nothing_finished(tmp_path, capsys):
     robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.1, "audit": 0, "file": tmp_path / "map.npz"}
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # no file may grow longer
     try:
         with pytest.raises(MapNotSaved, match=r"map\.npz") as failure:
             ik.reachability(robot, BOX, **asked)
+        box = [str(x) for corner in BOX for x in corner]
+        shell = ["reach", "hydrolek_7w", "--region", *box, "--resolution", "0.1", "--audit", "0"]
+        assert main([*shell, "-o", str(tmp_path / "shell.npz")]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert (
+            "is lost if the study is stopped" in said
+            and "has what fitted; with more space the same command goes" in said
+        )
+        assert "interrupted" not in said
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     kept = failure.value.result
