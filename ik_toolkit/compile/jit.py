@@ -56,15 +56,6 @@ spliced = njit(inline="always", **BARE)  # for large code with a single caller, 
 shared = register_jitable(**INLINE)
 
 
-def dual(function: Callable) -> Any:
-    """Decorator for functions that make no arrays: compile them twice, by `jit` for Python and inlinable for compiled code."""
-    dispatcher = jit(function)
-    if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
-        part = njit(**BARE)(function)
-        dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
-    return dispatcher
-
-
 # ------------------------------------------------------------------------------------------------- classes in the kernel
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
@@ -126,6 +117,15 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
 def cached_small(function: Callable, *parts: Any) -> Any:
     """Decorator: like `cached`, for a long function whose loops are short, see `SmallLibrary`."""
     return cached(function, *parts, pipeline="SmallPipeline")
+
+
+def dual(function: Callable) -> Any:
+    """Decorator for functions that make no arrays: compile them twice, by `cached` for Python and inlinable for compiled code."""
+    dispatcher = cached(function)
+    if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
+        part = njit(**BARE)(function)
+        dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
+    return dispatcher
 
 
 # The last times [s, by perf_counter] at which kernels (compiled functions) were compiled or loaded, with the thread that waited.

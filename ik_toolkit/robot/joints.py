@@ -355,8 +355,7 @@ class Joints(ReadOnly):
         if model is not None:
             return configuration_in(model, self, self.check_q(q), rest)
         given = self._given
-        full = self.rest.copy() if rest is None else self._full(rest, "rest")
-        full = self._fill(full, self.check_q(q))
+        full = self._fill(self.rest.copy() if rest is None else self._full(rest, "rest"), self.check_q(q))
         return full if given is None else given.form(self.model, full)
 
     def _full(self, values: Any, what: str) -> np.ndarray:
@@ -395,5 +394,7 @@ class Joints(ReadOnly):
 
     def _repr_html_(self) -> str:
         """Return a table of the joints for notebooks."""
+        head, route = ("joint", "kind", "lower", "upper", "home"), self._route()
         rows = zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
-        return TextTable(self.name, self._route(), ("joint", "kind", "lower", "upper", "home"), rows, most=100).html()
+        ties = [f"{joint} follows {tie.leader}" for joint, tie in self.mimic_joints.items()]
+        return TextTable(self.name, route, head, rows, *ties, most=100).html()

@@ -8,7 +8,7 @@ from ..errors import InvalidOption
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.result import Result
-from ..solvers.solve import Solver
+from ..solvers.solve import Solver, require_robot
 from ..text import duration, length
 from .animation import GHOSTS, SLATE, each_target, thin_rows
 from .plots import iterates
@@ -75,6 +75,7 @@ def interact(
         UnknownSolver, InvalidOption, InvalidTarget, InvalidConfiguration: An argument is wrong.
         MissingExtra: meshcat or trimesh is not installed.
     """
+    require_robot(robot)
     asked = list(solver) if isinstance(solver, list | tuple) else [solver]
     if not 0 < len(asked) <= len(GHOSTS):
         raise InvalidOption(f"interact takes one solver, or a list of up to {len(GHOSTS)}")

@@ -49,13 +49,15 @@ class InCell:
         They are a pose (4, 4) or a position (3,) [m] in the base frame, for several tips a dict by tip. Drag the ball in the plane
         of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn the target.
         """
+        if not callable(call):
+            raise InvalidOption(f"on_drag takes a function of the new target, not {call!r:.60}")
         self._call = call
         drawn = [numbered("target", k) for k in range(len(self.robot.tips))]
         shapes, grips = shapes_of(self.window), []
         for name in [name for name in drawn if f"{name}/0" in self.window.objects]:
             parts = [one.vertices for path, one in shapes.items() if path.startswith(f"{name}/")]
             size = max(float(np.abs(part).max()) for part in parts)
-            grips.append({"name": name, "size": size, "turns": len(parts) > 1})
+            grips.append({"name": name, "size": size, "turns": len(parts) > 1, "color": shapes[f"{name}/0"].color})
         if not grips:
             raise InvalidOption("there is no target to drag: show the scene with target=")
         self.window.say(drag=grips)

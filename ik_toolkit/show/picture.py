@@ -52,6 +52,10 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
             seen = camera.project(points @ T[:3, :3].T + T[:3, 3])
             at = (seen[:, 2] > 0) & (seen[:, :2] > 0).all(axis=1) & (seen[:, :2] < size).all(axis=1)
             axes.scatter(seen[at, 0], seen[at, 1], c=colors[at], s=(0.7 * big * camera.scale * seen[at, 2]) ** 2, lw=0)
+        for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
+            x, y, near = camera.project(window.pose(grip["name"])[None, :3, 3])[0]
+            if near > 0 and not grip["turns"]:
+                axes.plot(x, y, "o", color=grip["color"], ms=1.44 * grip["size"] * camera.scale * near)
         for path, text, down in window.about["names"]:
             x, y, near = camera.project(window.pose(path)[None, :3, 3])[0]
             if near > 0:

@@ -249,22 +249,18 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
         InvalidConfiguration: q does not fit the robot.
     """
     require_one_tip(robot, "the gain margin")
-    found = []
     span = Asked(robot, (POSITION,)).span[:3]
     r = span.shape[1]
     signs = np.array(list(product((1.0,), *[(1.0, -1.0)] * (r - 1)))).T
-    for J in span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]:
-        size = np.linalg.norm(J, axis=0)
-        facets = (2.0 * J / np.maximum(size, 1e-300) ** 2).T[size > FLAT * size.max()]
-        far = 0.0
-        spans = False
-        for some in combinations(range(len(facets)), r):
-            rows = facets[list(some)]
-            if abs(np.linalg.det(rows)) <= FLAT * np.prod(np.linalg.norm(rows, axis=1)):
-                continue
-            spans = True
-            corners = np.linalg.solve(rows, signs)
-            inside = (np.abs(facets @ corners) <= 1.0 + ROUND).all(axis=0)
-            far = max(far, float((np.linalg.norm(corners, axis=0) * inside).max()))
-        found.append(1.0 / far if spans else 0.0)
-    return np.array(found)
+    J = span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]
+    size = np.linalg.norm(J, axis=1, keepdims=True)
+    still = size <= FLAT * size.max(axis=2, keepdims=True)  # such a joint bounds nothing
+    facets = np.where(still, 0.0, 2.0 * J / np.maximum(size, 1e-300) ** 2).swapaxes(1, 2)
+    far = np.zeros(len(J))
+    for some in combinations(range(robot.n), r):
+        rows = facets[:, some]
+        meet = np.abs(np.linalg.det(rows)) > FLAT * np.linalg.norm(rows, axis=2).prod(axis=1)
+        corners = np.linalg.solve(rows[meet], signs)
+        inside = (np.abs(facets[meet] @ corners) <= 1.0 + ROUND).all(axis=1)
+        far[meet] = np.maximum(far[meet], (np.linalg.norm(corners, axis=1) * inside).max(axis=1))
+    return np.divide(1.0, far, out=np.zeros(len(J)), where=far > 0.0)

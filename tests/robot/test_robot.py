@@ -282,6 +282,8 @@ def test_representations_name_the_joints():
     robot = robots.load("hydrolek_7w")
     assert "azimuth_yaw" in repr(robot) and "azimuth_yaw" in robot._repr_html_()
     assert "base_link → tool, reach at most 1.44 m" in robot._repr_html_()
+    fingers = robots.load("mimic_mix")
+    assert fingers.mimic_joints and all(f"{joint} follows" in fingers._repr_html_() for joint in fingers.mimic_joints)
 
 
 def test_a_slide_as_long_as_a_country_keeps_its_limits():

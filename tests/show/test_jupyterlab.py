@@ -1,6 +1,7 @@
 """A person's notebook in JupyterLab and a real browser: an arm of one's own, a target dragged, a file sent to somebody else."""
 
 import contextlib
+import io
 import json
 import os
 import socket
@@ -17,6 +18,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'pl
 pytest.importorskip("anywidget", reason="anywidget is not installed (extra 'notebook')")
 pytest.importorskip("jupyterlab", reason="JupyterLab is not installed (pip install jupyterlab)")
 import nbformat
+from PIL import Image
 
 pytestmark = NEEDED
 
@@ -100,6 +102,9 @@ def test_a_persons_notebook(browser, tmp_path):
         x, y, _ = frame.evaluate(
             "(one => (one.updateWorldMatrix(true, false), pixel(one.localToWorld(vector(0, 0, 0)))))(object('target'))"
         )
+        shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        red, green, blue = shot.getpixel((round(box["x"] + x), round(box["y"] + y)))
+        assert red > 100 > 2 * max(green, blue)  # The ball is seen, although the arm's tip is there.
         page.mouse.move(box["x"] + x, box["y"] + y)
         page.mouse.down()
         for step in range(1, 9):

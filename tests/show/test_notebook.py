@@ -21,7 +21,7 @@ from robots import urdf
 from ik_toolkit.show import notebook
 from ik_toolkit.show.body import DrawnShape, primitive
 from ik_toolkit.show.meshcat_server import Window
-from ik_toolkit.show.picture import picture
+from ik_toolkit.show.picture import _Camera, picture
 from ik_toolkit.show.scene import Scene
 
 
@@ -258,6 +258,18 @@ def test_interact_follows_with_every_solver(kernel, position):
     json.dumps(curves)
 
 
+@pytest.mark.parametrize("name", ["planar_2r", "hydrolek_7w"])
+def test_a_ball_to_drag_is_in_the_picture_where_the_robot_has_reached_it(name):
+    robot = ik.Robot.load(name)
+    place = robot.fk(robot.home).translation
+    window = ik.interact(robot, "lm", target=place).scene._aimed()
+    drawn, beside = pixels(picture(window)), 0.3 * 760  # the chart is beside it
+    camera = _Camera(window.about["camera"], 760 - beside, 460)
+    x, y = np.round(camera.project(window.pose("target")[None, :3, 3])[0, :2]).astype(int)
+    red, green, blue = drawn[y, x]
+    assert red > 0.7 and max(green, blue) < 0.3
+
+
 def test_interact_with_several_tips_and_bad_input():
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     shown = ik.interact(tree, "lm")
@@ -271,6 +283,10 @@ def test_interact_with_several_tips_and_bad_input():
         ik.interact(robot, "lmm")
     with pytest.raises(InvalidOption, match="a list of up to"):
         ik.interact(robot, [])
+    with pytest.raises(InvalidOption, match="a Robot or a Tree"):
+        ik.interact("planar_2r")
+    with pytest.raises(InvalidOption, match="a function"):
+        ik.view(robot, target=[1, 1, 0]).on_drag(3)
     with pytest.raises(InvalidTarget):
         ik.interact(robot, target="there")
     with pytest.raises(FrameNotFound):

@@ -11,10 +11,11 @@ show = (about) => {
 addEventListener("message", async ({ source, data: { open, close, commands, about } }) => {
   if (source !== parent) return;
   if (open) {
-    try { await opened(open); } catch (error) { tell({ failed: String(error) }); }
+    try { await opened(open); } catch (error) { return tell({ failed: String(error) }); }
   } else if (!viewer) return;
   for (const command of commands ?? []) viewer.handle_command_bytearray(command);
   for (const words of about instanceof Array ? about : []) show(JSON.parse(words));
+  raise();
   if (close) {
     viewer.render();
     const { position } = viewer.camera, { target } = viewer.controls;
@@ -37,12 +38,17 @@ async function opened({ script, blobs, about, state }) {
   viewer.handle_command = (c) => (held && c.type === "set_transform" && c.path === `/meshcat/${held.name}` ? null : take(c));
   for (const [name, act] of Object.entries({ pointerdown: take_hold, pointermove: pull, pointerup: let_go, pointercancel: let_go }))
     document.addEventListener(name, act, true);
+  raise();
   requestAnimationFrame(() => requestAnimationFrame(() => tell({ ready: 1 })));
 }
 
 // ------------------------------------------------------------------------------------------------- targets that can be dragged
-const object = (name) => viewer.scene_tree.find(["meshcat", name]).object;
+const object = (name) => viewer.scene_tree.find(["meshcat", ...name.split("/")]).object;
 const vector = (x, y, z) => viewer.camera.position.clone().set(x, y, z);
+function raise() { // the balls to drag are drawn over the robot, which hides them where it has reached them
+  for (const { name } of grips)
+    object(`${name}/0`).traverse((one) => one.material && (one.renderOrder = 1, one.material.depthTest = false));
+}
 function pixel(p) { // of a point of the world, with its depth
   const { clientWidth: w, clientHeight: h } = $("box"), at = p.project(viewer.camera);
   return [((at.x + 1) / 2) * w, ((1 - at.y) / 2) * h, at.z];
