@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import check_target
-from ..validate import number, positive
+from ..validate import number, positive, switch
 
 ROTATION = "R_base_controller must be a rotation matrix (3, 3)"
 
@@ -79,9 +79,9 @@ class Teleop:
             InvalidTarget: T_controller is not a pose; the target has not moved.
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
-        if not isinstance(engaged, bool | np.bool_):
-            raise InvalidOption(f"engaged must be True or False, not {engaged!r:.60}")
-        if not engaged:  # This comes before the pose is checked: a released clutch counts, whatever the device sends.
+        if not switch(
+            engaged, "engaged"
+        ):  # This comes before the pose is checked: a released clutch counts, whatever the device sends.
             self._anchor, self._released, self.engaged = None, True, False
         hand, dt = _pose(T_controller), positive(dt, "dt [s]")
         if engaged and self._anchor is None and self._released:

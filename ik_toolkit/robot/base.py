@@ -210,23 +210,14 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
             joints[j] = parent
         else:
             q, v = (slice(i, i + n) for i, n in ((joint.idx_q, joint.nq), (joint.idx_v, joint.nv)))
-            joints[j] = made.addJoint(
-                parent,
-                joint,
-                placement,
-                model.names[j],
-                np.asarray(model.upperEffortLimit)[v],
-                np.asarray(model.upperVelocityLimit)[v],
-                np.asarray(model.lowerPositionLimit)[q],
-                np.asarray(model.upperPositionLimit)[q],
-            )
+            effort, speed = (np.asarray(limit)[v] for limit in (model.upperEffortLimit, model.upperVelocityLimit))
+            lower, upper = (np.asarray(limit)[q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+            joints[j] = made.addJoint(parent, joint, placement, model.names[j], effort, speed, lower, upper)
         made.appendBodyToJoint(joints[j], model.inertias[j], pin.SE3.Identity())
     for k, frame in enumerate(model.frames):
         if k:
-            own = pin.Frame(
-                frame.name, joints[frame.parentJoint], frames[frame.parentFrame], frame.placement, frame.type
-            )
-            frames[k] = made.addFrame(own, False)
+            parents = joints[frame.parentJoint], frames[frame.parentFrame]
+            frames[k] = made.addFrame(pin.Frame(frame.name, *parents, frame.placement, frame.type), False)
     return made
 
 

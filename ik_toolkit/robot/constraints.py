@@ -164,15 +164,12 @@ class Closure:
                 yield from self._between(a, b)
 
     def _between(self, a: End, b: End) -> set[int]:
-        above = [set(self.model.supports[self.model.frames[self._frame(end)].parentJoint]) for end in (a, b)]
+        above = [set(self.model.supports[self.model.frames[self._frames[end.link]].parentJoint]) for end in (a, b)]
         return (above[0] ^ above[1]) - {0}
 
     @functools.cached_property
     def _frames(self) -> dict[str, int]:
         return {f.name: i for i, f in enumerate(self.model.frames) if f.type in LINKS}
-
-    def _frame(self, end: End) -> int:
-        return self._frames[end.link]
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
@@ -218,7 +215,7 @@ class Closure:
 
     def _point(self, end: End) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return position (3,) [m], Jacobian (6, nv) and rotation (3, 3) of a frame on a link, in root axes."""
-        data, i = self.robot.arms[0].data, self._frame(end)
+        data, i = self.robot.arms[0].data, self._frames[end.link]
         at = pin.updateFramePlacement(self.model, data, i)
         J = pin.getFrameJacobian(self.model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1).copy()
         arm = at.rotation @ np.array(end.point)

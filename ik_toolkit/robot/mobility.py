@@ -133,11 +133,7 @@ def mobility_of(arm: Any) -> Mobility:
         if tip_axis[np.abs(tip_axis).argmax()] < 0.0:  # Signs are chosen so that the tip's axis is positive.
             axis, tip_axis = -axis, -tip_axis
     normals = ways[:, moves:].T
-    normals = (
-        normals * np.sign(normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)])[:, None]
-        if len(normals)
-        else normals
-    )
+    normals = normals * np.sign(normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)])[:, None]
     return Mobility(
         joints=arm.n, directions=directions, turns=turns, moves=moves, axis=axis, tip_axis=tip_axis, normals=normals,
         heights=normals @ middle, rotation=T[0, :3, :3] if turns == 0 else None, reach=arm.reach,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
+from ..validate import number
 from .joints import Joints
 
 SUFFIX = ".pos"  # LeRobot's observations and actions have "shoulder_pan.pos" for the joint shoulder_pan
@@ -92,8 +93,5 @@ def _by_joint(robot: Any, name: str, given: Mapping[str, float] | None, default:
     for joint, value in (given or {}).items():
         if joint not in robot.joint_names:
             raise JointNotFound(f"{name}: the robot has no joint '{joint}'.{near_match(joint, robot.joint_names)}")
-        number = floats(value, f"{name} of {joint} must be a number", InvalidOption)
-        if number.shape != () or not np.isfinite(number):
-            raise InvalidOption(f"{name} of {joint} must be a finite number, not {value!r}")
-        made[robot.joint_names.index(joint)] = float(number)
+        made[robot.joint_names.index(joint)] = number(value, f"{name} of {joint}")
     return made

@@ -166,10 +166,8 @@ def limits(
         raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
     notes = []
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
-        name, most, unit = (
-            model.names[path.leaders[i]],
-            *((LARGEST_ANGLE, "rad") if turns[i] else (LARGEST_STROKE, "m")),
-        )
+        name = model.names[path.leaders[i]]
+        most, unit = (LARGEST_ANGLE, "rad") if turns[i] else (LARGEST_STROKE, "m")
         if max(-high, low) > most:
             raise ModelError(
                 f"joint '{name}' moves from {low:g} to {high:g} {unit}; values above {most:g} are not computed"

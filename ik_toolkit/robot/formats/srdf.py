@@ -105,8 +105,9 @@ class Srdf:
             bases, tips = _ends_of_joints(found, model)
             mounted = [e for e in self.end_effectors.values() if group in (e.parent_group, e.group)]
             carried = [e.parent_link for e in mounted if model.existFrame(e.parent_link)]
-            if len(tips) == 1 and len(carried) == 1 and _above(model, tips[0], carried[0]):
-                tips = carried
+            if len(tips) == 1 and len(carried) == 1:
+                above = _line(model, model.getFrameId(carried[0]))
+                tips = carried if model.getFrameId(tips[0]) in above else tips
         if not tips:
             links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
             lost = [link for chain in found.chains for link in chain if not model.existFrame(link)] or [
@@ -307,11 +308,6 @@ def _line(model: pin.Model, frame: int) -> set[int]:
         seen.add(frame)
         frame = model.frames[frame].parentFrame
     return seen
-
-
-def _above(model: pin.Model, link: str, other: str) -> bool:
-    """Return whether `other` is `link` or a descendant of it."""
-    return model.getFrameId(link) in _line(model, model.getFrameId(other))
 
 
 def _are(names: Iterable[str], what: str, with_what: str = "") -> str:

@@ -99,7 +99,7 @@ class Item:
 
     def first(self, tag: str) -> Mapping[str, str] | None:
         """Return the attributes of the first element with this tag, or None; as in urdfdom, later ones do not count."""
-        return next((part.attributes for part in self.own(tag)), None)
+        return next((part.attributes for part in self.inside if part.tag == tag and not part.above), None)
 
 
 class HasMacros(ModelError):

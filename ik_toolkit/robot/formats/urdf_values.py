@@ -22,7 +22,7 @@ def check_joint(joint: Item) -> Iterator[Finding]:
         said = "it has no type" if kind is None else f"its type '{kind}' is unknown"
         yield error_finding(joint, said, f"use one of: {', '.join(TYPES)}.{near}", joint.line)
         return
-    for part in _counting(joint, "origin"):
+    for part in joint.own("origin")[:1]:
         yield from _numbers(joint, part, error_finding)
         yield from _origin(joint, part, error_finding)
     if kind in ("floating", "planar"):
@@ -31,7 +31,7 @@ def check_joint(joint: Item) -> Iterator[Finding]:
     if kind in (*MOVING, "planar"):
         yield from _axis(joint, kind)
     if kind in MOVING:
-        for part in _counting(joint, "mimic"):
+        for part in joint.own("mimic")[:1]:
             yield from _numbers(joint, part, error_finding)
             offset = attribute_numbers(part.attributes.get("offset", "0")) or []
             if kind != "prismatic" and any(map(_degrees, offset)):
@@ -83,10 +83,6 @@ def check_all_zero(joints: Sequence[Item]) -> Iterator[Finding]:
     if limited and len(ends) == 2 * len(limited) and all(end == [0.0] for end in ends):
         told = f"all limits ({len(limited)}) are 0 to 0, so these joints cannot move"
         yield odd("robot", told, "write the limits of the real robot", limited[0].line, at_load=True)
-
-
-def _counting(joint: Item, tag: str) -> list[InnerElement]:
-    return joint.own(tag)[:1]
 
 
 def _numbers(item: Item, part: InnerElement, found: Callable[..., Finding]) -> Iterator[Finding]:
@@ -141,7 +137,7 @@ def unversioned(items: Sequence[Item]) -> Iterator[Finding]:
 
 
 def _axis(joint: Item, kind: str) -> Iterator[Finding]:
-    parts = _counting(joint, "axis")
+    parts = joint.own("axis")[:1]
     line = parts[0].line if parts else joint.line
     if parts:
         yield from _numbers(joint, parts[0], error_finding)
@@ -163,7 +159,7 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
 
 
 def _limit(joint: Item, kind: str) -> Iterator[Finding]:
-    parts, led = _counting(joint, "limit"), joint.first("mimic") is not None
+    parts, led = joint.own("limit")[:1], joint.first("mimic") is not None
     loose = led and kind != "continuous" and not (parts and parts[0].attributes.keys() & {"lower", "upper"})
     if loose:
         told = "its <limit> has no lower and no upper" if parts else "it has no <limit>"
@@ -226,7 +222,7 @@ def reversed_advice(low: float, high: float, turns: bool) -> str:
 
 def _free_limits(joint: Item, kind: str) -> Iterator[Finding]:
     """Yield a warning for position limits of a joint whose type has none."""
-    for part in _counting(joint, "limit"):
+    for part in joint.own("limit")[:1]:
         said = [
             end for end in ("lower", "upper") if (attribute_numbers(part.attributes.get(end, "0")) or [1.0]) != [0.0]
         ]

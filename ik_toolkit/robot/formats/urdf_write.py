@@ -60,16 +60,20 @@ def add_shape(
     """Append a visual, and if it is solid a collision shape: a 'box' (x, y, z) or a 'cylinder' (radius, length on z) [m]."""
     if min(size) <= 0.0:
         return  # A prismatic joint without a stroke has no tube to draw.
-    for tag in ("visual", "collision") if solid else ("visual",):
-        part = ET.SubElement(link, tag)
-        origin(part, T)
-        geometry = ET.SubElement(part, "geometry")
-        if shape == "box":
-            ET.SubElement(geometry, "box", size=numbers_text(size))
-        else:
-            ET.SubElement(geometry, "cylinder", radius=_text(size[0]), length=_text(size[1]))
-        if tag == "visual":
-            ET.SubElement(part, "material", name=colour)
+    ET.SubElement(_add_part(link, "visual", shape, size, T), "material", name=colour)
+    if solid:
+        _add_part(link, "collision", shape, size, T)
+
+
+def _add_part(link: ET.Element, tag: str, shape: str, size: Sequence[float], T: np.ndarray) -> ET.Element:
+    part = ET.SubElement(link, tag)
+    origin(part, T)
+    geometry = ET.SubElement(part, "geometry")
+    if shape == "box":
+        ET.SubElement(geometry, "box", size=numbers_text(size))
+    else:
+        ET.SubElement(geometry, "cylinder", radius=_text(size[0]), length=_text(size[1]))
+    return part
 
 
 def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
@@ -86,14 +90,7 @@ def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
         if length > 6.0 * r:
             add_shape(link, "box", (0.9 * r, 1.6 * r, length - 4.5 * r), T, "orange")
     if length > 3.5 * r:
-        link.append(_solid(T, 0.9 * r, length - 3.0 * r))
-
-
-def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
-    part = ET.Element("collision")
-    origin(part, T)
-    ET.SubElement(ET.SubElement(part, "geometry"), "cylinder", radius=_text(radius), length=_text(length))
-    return part
+        _add_part(link, "collision", "cylinder", (0.9 * r, length - 3.0 * r), T)
 
 
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:

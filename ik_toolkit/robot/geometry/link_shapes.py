@@ -215,17 +215,10 @@ def _shape(
     # A material's name refers to the first colour given for that name.
     color = colors.get(material) or _color(given.get("color", {}))
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
-    mesh = kind == "mesh"
-    return LinkShape(
-        f"{item.name}_{k}",
-        item.name,
-        kind,
-        sizes,
-        place,
-        color,
-        file * mesh,
-        convex=mesh and ("convex", given["name"]) in asked,
-    )
+    if kind != "mesh":
+        return LinkShape(f"{item.name}_{k}", item.name, kind, sizes, place, color)
+    convex = ("convex", given["name"]) in asked
+    return LinkShape(f"{item.name}_{k}", item.name, kind, sizes, place, color, file, convex)
 
 
 def _numbers(
