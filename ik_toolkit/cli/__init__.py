@@ -19,24 +19,8 @@ from .output import LogNotices, notice
 from .streams import Output, open_standard_streams, stoppable, with_input
 from .usage import Group, UsageError
 
-MODULES = (
-    "robots",
-    "solve",
-    "path",
-    "track",
-    "gains",
-    "reproduce",
-    "solvers",
-    "bench",
-    "tune",
-    "workspace",
-    "reach",
-    "place",
-    "calibrate",
-    "files",
-    "view",
-    "doctor",
-)  # list every module of commands here
+# Every module of commands, in the order in which the help lists them.
+MODULES = "robots solve path track gains reproduce solvers bench tune workspace reach place calibrate files view doctor".split()
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED, TERMINATED = 1, 2, 3, 70, 130, 143
 
 

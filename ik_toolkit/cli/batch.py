@@ -1,5 +1,6 @@
 """`ik solve ROBOT --targets FILE`: many targets from a CSV or NPZ file, their solutions to a CSV, NPZ or Parquet file."""
 
+import contextlib
 import csv
 import io
 from collections import Counter
@@ -23,7 +24,6 @@ from ..text import duration, figure
 from .output import notice, progress, show, write_json
 from .streams import uninterrupted
 
-OUTPUTS = (".csv", ".npz", ".parquet")
 FAILED = ".failed"
 
 
@@ -36,22 +36,59 @@ def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
     return columns | {name: rest[name] for name in rest if name not in ("q", "status", "success")}
 
 
-class Writer:
-    """Base class of writers that write a batch of solutions, part by part, to `file`; `names`: joint names."""
+class Solutions:
+    """Output file of a batch, used in a `with` block: call `add` for each part; at the end of the block the file gets its name.
 
-    def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Store the file and the joint names."""
-        self.file, self.names = file, names
+    Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed. The
+    subclasses write the formats.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Open a temporary file next to `path`; names: of the joints. Raises InvalidOption, OSError."""
+        self.file, self.names, self.count = WholeFile(path), names, 0
         self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
+
+    def write(self, part: BatchResult) -> None:
+        """Write the results of some targets to the file."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Write what completes the file; most formats need nothing."""
 
+    def add(self, part: BatchResult) -> None:
+        """Append the results of some targets to the file, and count them."""
+        with self.file.named():  # errors of numpy and pyarrow do not name the file
+            self.write(part)
+        self.count += len(part)
 
-class CsvWriter(Writer):
+    def fail(self) -> Path | None:
+        """Keep the parts as NAME.failed; returns that name."""
+        self.close()
+        return self.file.keep(FAILED)
+
+    def __enter__(self) -> "Solutions":
+        """Return the object itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        """Rename the temporary file to its final name, or to NAME.partial after an exception."""
+        with uninterrupted():
+            if kind is None:
+                self.close()
+                self.file.finish()
+            elif self.count and not self.file.stream.closed:
+                with contextlib.suppress(OSError):  # the disk is full; rows written completely are kept
+                    self.close()
+                if kept := self.file.keep(PARTIAL):
+                    notice(f"partial: the first {self.count} solutions are in {kept}")
+            else:
+                self.file.drop()
+
+
+class CsvSolutions(Solutions):
     """Appends parts to a CSV file, numbers written so that they read back the same."""
 
-    def add(self, part: BatchResult) -> None:
+    def write(self, part: BatchResult) -> None:
         """Append the results of some targets to the file, all of them or none."""
         columns = _columns(part, self.names)
         lines = io.StringIO()
@@ -63,10 +100,10 @@ class CsvWriter(Writer):
         self.file.write(lines.getvalue())
 
 
-class NpzWriter(Writer):
+class NpzSolutions(Solutions):
     """Writes a whole batch to an NPZ file, with the names of the tips if there are several."""
 
-    def add(self, part: BatchResult) -> None:
+    def write(self, part: BatchResult) -> None:
         """Write the arrays."""
         robot = part.plan.robot
         tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.named_tips else {}
@@ -74,20 +111,20 @@ class NpzWriter(Writer):
         self.file.mark()
 
 
-class ParquetWriter(Writer):
+class ParquetSolutions(Solutions):
     """Appends parts to a Parquet file as row groups."""
 
-    def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Write to `file`. Raises InvalidOption without pyarrow."""
-        super().__init__(file, names)
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Write to a file. Raises InvalidOption without pyarrow."""
         try:
             import pyarrow  # pyright: ignore[reportMissingImports]
             import pyarrow.parquet  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise InvalidOption("a .parquet file needs pyarrow, which is not installed; use .csv or .npz") from None
         self.arrow = pyarrow
+        super().__init__(path, names)
 
-    def add(self, part: BatchResult) -> None:
+    def write(self, part: BatchResult) -> None:
         """Append the results of some targets to the file."""
         table = self.arrow.table(_columns(part, self.names))
         if self.table is None:
@@ -102,57 +139,7 @@ class ParquetWriter(Writer):
             self.file.mark()
 
 
-class Solutions:
-    """Output file of a batch, used in a `with` block: call `add` for each part; at the end of the block the file gets its name.
-
-    Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed.
-    """
-
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Open a temporary file next to `path`. Raises InvalidOption, OSError."""
-        self.file = WholeFile(path)
-        self.count = 0
-        try:
-            suffix = path.suffix.lower()
-            self.writer = {".csv": CsvWriter, ".npz": NpzWriter, ".parquet": ParquetWriter}[suffix](self.file, names)
-        except BaseException:
-            self.file.drop()
-            raise
-
-    def add(self, part: BatchResult) -> None:
-        """Append the results of some targets to the file, and count them."""
-        with self.file.named():  # errors of numpy and pyarrow do not name the file
-            self.writer.add(part)
-        self.count += len(part)
-
-    def fail(self) -> Path | None:
-        """Keep the parts as NAME.failed; returns that name."""
-        self.writer.close()
-        return self.file.keep(FAILED)
-
-    def __enter__(self) -> "Solutions":
-        """Return the object itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """Rename the temporary file to its final name, or to NAME.partial after an exception."""
-        with uninterrupted():
-            if kind is None:
-                self.writer.close()
-                self.file.finish()
-            elif self.count and not self.file.stream.closed:
-                self._keep()
-            else:
-                self.file.drop()
-
-    def _keep(self) -> None:
-        try:
-            self.writer.close()
-        except OSError:  # the disk is full; rows written completely are kept
-            pass
-        kept = self.file.keep(PARTIAL)
-        if kept is not None:
-            notice(f"partial: the first {self.count} solutions are in {kept}")
+FORMATS = {".csv": CsvSolutions, ".npz": NpzSolutions, ".parquet": ParquetSolutions}
 
 
 # ---------------------------------------------------------------------------------------------------------- the command
@@ -193,19 +180,19 @@ class _Tally:
 
 def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[str, Any], show_done: Any) -> _Tally:
     """Solve all targets and write the solutions, part by part if the file format allows it."""
-    tally = _Tally()
+    tally, form = _Tally(), FORMATS[output.suffix.lower()]
     parts: Iterator[BatchResult] = iter(())
     many, interrupted = None, None
     try:
-        if output.suffix.lower() == ".npz":
+        if form is NpzSolutions:
             many = solve_batch(arm, targets, method, progress=show_done, **asked)
         else:
             parts = solve_parts(arm, targets, method, **asked)
     except BatchInterrupted as stop:
         many, interrupted = stop.result, stop
     except BatchCheckFailed as failure:
-        _refuse(failure, Solutions(output, arm.joint_names))
-    with Solutions(output, arm.joint_names) as file:  # opened only once the options have been accepted
+        _refuse(failure, form(output, arm.joint_names))
+    with form(output, arm.joint_names) as file:  # opened only once the options have been accepted
         try:
             for part in parts if many is None else iter([many]):
                 with uninterrupted():
@@ -246,8 +233,8 @@ def solve_file(
     On Ctrl-C or SIGTERM the finished part is kept as NAME.partial. If the check by Pinocchio fails, the results are kept as
     NAME.failed, and the exit code is 1.
     """
-    if output is None or output.suffix.lower() not in OUTPUTS:
-        raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
+    if output is None or output.suffix.lower() not in FORMATS:
+        raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(FORMATS)}")
     count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()

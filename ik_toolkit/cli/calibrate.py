@@ -73,17 +73,13 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     from ..study.calibrate import calibrate as fit
 
     what, Q, measured = _read(asked, arm, file.convention(robot.deg))
-    found = fit(
-        arm,
-        Q,
-        measured,
-        what,
-        groups,
-        places=[vector(text, "--place", 3) for text in asked.place] if asked.place else None,
-        distances=dict(map(_pair, asked.distance)) if asked.distance else None,
-        noise=None if asked.noise is None else vector(asked.noise, "--noise"),
-        prior=None if asked.prior is None else vector(asked.prior, "--prior"),
-    )
+    known: dict[str, Any] = {
+        "places": [vector(text, "--place", 3) for text in asked.place or ()] or None,
+        "distances": dict(map(_pair, asked.distance or ())) or None,
+        "noise": None if asked.noise is None else vector(asked.noise, "--noise"),
+        "prior": None if asked.prior is None else vector(asked.prior, "--prior"),
+    }
+    found = fit(arm, Q, measured, what, groups, **known)
     if asked.suggest is not None:
         _suggest(asked, robot, arm, groups, found, out.as_json)
         return

@@ -3,6 +3,7 @@
 import functools
 import importlib.util
 import inspect
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field, fields
@@ -152,6 +153,13 @@ def _same_file(one: str | Path, other: str | Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
+def above_zero(value: float, name: str) -> float:
+    """Return the value of an option. Raises InvalidOption unless it is positive and finite."""
+    if not 0.0 < value < math.inf:
+        raise InvalidOption(f"{name} must be positive, not {value:g}")
+    return value
+
+
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
     """A command that refuses several tips if it takes one, an output that is also an input, and two outputs to the same file."""
@@ -162,16 +170,15 @@ class Command(typer.core.TyperCommand):
         args = _joined(args, several)
         if (
             ctx.resilient_parsing
-        ):  # The shell asks for a completion; a last option without a value would hide the arguments.
+        ):  # for a completion in the shell; a last option without a value would hide the arguments
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
         if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):  # only the last would count
-            raise InvalidOption(
-                f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
-            )
+            names = " or ".join(TIP)
+            raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")
         for one in self.params:
             if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
@@ -201,9 +208,8 @@ class Command(typer.core.TyperCommand):
                 read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # the FILE of SOLVER=FILE
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
-                        raise InvalidOption(
-                            f"'{output}' would overwrite '{read}', which is an input; choose another name"
-                        )
+                        what = f"'{output}' would overwrite '{read}', which is an input"
+                        raise InvalidOption(f"{what}; choose another name")
         try:
             return super().invoke(ctx)
         except IKError as error:

@@ -176,11 +176,8 @@ def _pinocchio() -> dict[str, Any]:
     except ImportError as error:
         return _row("pinocchio", "problem", f"cannot be imported: {error}")
     if not hasattr(pinocchio, "buildModelFromXML"):
-        return _row(
-            "pinocchio",
-            "problem",
-            f"{pinocchio.__file__} is not the rigid-body library; pip install --force-reinstall pin",
-        )
+        stranger = f"{pinocchio.__file__} is not the rigid-body library; pip install --force-reinstall pin"
+        return _row("pinocchio", "problem", stranger)
     return _row("pinocchio", "ok", f"{pinocchio.__version__} imports")
 
 

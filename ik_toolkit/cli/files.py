@@ -114,14 +114,8 @@ def check(asked: CheckOptions) -> None:
     findings, robots, expanded = every_finding(asked.urdf, entry, options)
     forms = {robot.tip: words for robot in robots if (words := describe_fit(robot))}
     errors = [finding for finding in findings if finding.severity == "error"]
-    rows = [asdict(finding) for finding in findings]
-    payload = {
-        "urdf": asked.urdf,
-        "loadable": not errors,
-        "errors": len(errors),
-        "findings": rows,
-        "closed_forms": forms,
-    }
+    payload = {"urdf": asked.urdf, "loadable": not errors, "errors": len(errors)}
+    payload |= {"findings": [asdict(finding) for finding in findings], "closed_forms": forms}
     sampled = asked.sampled and not errors
     found = _self_collision(entry, robots[0].tip, options, asked.samples, asked.seed) if sampled else None
     if found is not None:
@@ -144,10 +138,9 @@ def check(asked: CheckOptions) -> None:
             show(f"closed form up to {tip}: {words}")
         if found is not None:
             counts = ", ".join(f"{count} {reason.lower()}" for reason, count in found.counts().items())
+            before, after = (f"{100 * share:.3g} %" for share in (found.before, found.after))
             show(f"pairs of links: {counts}, {len(found.tested)} to be tested ({found.samples} configurations)")
-            show(
-                f"something touches in {100 * found.before:.3g} % of them, of the pairs to be tested in {100 * found.after:.3g} %"
-            )
+            show(f"something touches in {before} of them, of the pairs to be tested in {after}")
     if found is not None and asked.output is not None:
         write_whole(asked.output, found.to_srdf())
         notice(f"wrote {asked.output}: {len(found.reasons)} pairs of links that need no test")
@@ -205,16 +198,12 @@ def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[lis
 @contextmanager
 def _silent() -> Iterator[None]:
     """Keep the package's log quiet while a robot is loaded whose notes are shown as findings."""
-    log = logging.getLogger("ik_toolkit")
-
-    def none(_: logging.LogRecord) -> bool:
-        return False
-
-    log.addFilter(none)
+    log, nothing = logging.getLogger("ik_toolkit"), logging.Filter("no such logger")
+    log.addFilter(nothing)
     try:
         yield
     finally:
-        log.removeFilter(none)
+        log.removeFilter(nothing)
 
 
 @command

@@ -6,8 +6,8 @@ import typer
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import equations
-from .command import command, option, options
-from .options import JsonOutput, RobotOptions, above_zero, joint_vector, parameters
+from .command import above_zero, command, option, options
+from .options import JsonOutput, RobotOptions, joint_vector, parameters
 from .output import notice, show, write_json
 from .track_path import PathOptions, asked_path
 

@@ -307,13 +307,6 @@ def parameters(pairs: Sequence[str] | None) -> dict[str, Any]:
     return {name: parameter(name, text) for name, text in assignments(pairs, "-p").items()}
 
 
-def above_zero(value: float, name: str) -> float:
-    """Return the value of an option. Raises InvalidOption unless it is positive and finite."""
-    if not 0.0 < value < math.inf:
-        raise InvalidOption(f"{name} must be positive, not {value:g}")
-    return value
-
-
 # ------------------------------------------------------------------------------------------------ tolerances, obstacles
 def given(record: Any) -> dict[str, Any]:
     """Return the options of a class that were given (are not None), by name."""
@@ -353,15 +346,17 @@ class FileOptions:
             )
         return given
 
-    def poses(self, path: Path, arm: Any, deg: bool) -> Any:
-        """Read a whole file of poses (N, 4, 4), or positions (N, 3) [m], for an arm with one tip."""
+    def poses(self, path: Path, arm: Any, deg: bool, what: str = "targets") -> Any:
+        """Read a whole file of poses (N, 4, 4), or positions (N, 3) [m]; for several tips a dict by tip."""
         import numpy as np
 
         from ..robot.pose_files import read_poses
 
-        return np.concatenate(
-            [some for _, some in read_poses(path, "targets", given=self.convention(deg), base=arm.base)[1]]
-        )
+        how = {"given": self.convention(deg), "tips": arm.named_tips, "base": arm.arms[0].base}
+        parts = [block.poses for block in read_poses(path, what, **how)[1]]
+        if isinstance(parts[0], dict):
+            return {tip: np.concatenate([part[tip] for part in parts]) for tip in parts[0]}
+        return np.concatenate(parts)
 
 
 @options("Collisions")

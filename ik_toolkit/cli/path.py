@@ -8,17 +8,8 @@ import typer
 
 from ..errors import InvalidOption
 from ..text import angle, comma_hint, duration, figure, length, vector
-from .command import PLOTS, REQUIRED, command, flag, option, options, same
-from .options import (
-    CollisionOptions,
-    FileOptions,
-    RobotOptions,
-    SceneOutput,
-    ToleranceOptions,
-    above_zero,
-    given,
-    joint_vector,
-)
+from .command import PLOTS, REQUIRED, above_zero, command, flag, option, options, same
+from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
 from .output import keep_partial, notice, progress, show, table, write_json
 from .pictures import chart, show_scene
 from .solve import SolverOptions
@@ -137,13 +128,9 @@ def path(
     """
     asked.check()
     from ..paths.solve_path import PathInterrupted, solve_path
-    from ..robot.pose_files import read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(
-        asked.poses, "poses", given=file.convention(robot.deg), tips=arm.named_tips, base=arm.arms[0].base
-    )
-    targets = _joined([block.poses for block in blocks])
+    targets = file.poses(asked.poses, arm, robot.deg, "poses")
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)
     bounds = [_numbers(getattr(asked, name), f"--{name}", arm.n) for name in ("velocity", "acceleration")]
@@ -173,15 +160,6 @@ def path(
         notice(made.message)
     if not result.success or (made is not None and not made.success):
         raise typer.Exit(1)
-
-
-def _joined(parts: list[Any]) -> Any:
-    """Concatenate the poses of a file that is read in parts, to one array or a dict of arrays by tip."""
-    import numpy as np
-
-    if isinstance(parts[0], dict):
-        return {tip: np.concatenate([part[tip] for part in parts]) for tip in parts[0]}
-    return np.concatenate(parts)
 
 
 def _numbers(text: str | None, option: str, joints: int) -> Any:

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import InvalidOption
 from .output import notice
+from .streams import handling
 
 
 def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html: Path | None, live: bool) -> None:
@@ -72,16 +73,14 @@ def written(page: Path) -> None:
 def wait(announcement: str, url: str, browse: bool) -> None:
     """Print the address of the page, open a browser if `browse`, and wait for Ctrl-C or SIGTERM."""
     done = threading.Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: done.set())
     try:
-        notice(f"{announcement}  (Ctrl-C ends it)")
-        if browse:
-            import webbrowser
+        with handling([signal.SIGTERM], lambda *_: done.set()):
+            notice(f"{announcement}  (Ctrl-C ends it)")
+            if browse:
+                import webbrowser
 
-            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-        while not done.wait(0.5):
-            pass
+                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+            while not done.wait(0.5):
+                pass
     except KeyboardInterrupt:
         notice("")
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -186,11 +186,7 @@ def describe(robot: Any) -> dict[str, Any]:
         robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, robot.home, robot.velocity_limits, strict=True
     )
     names = ("name", "kind", "lower", "upper", "home", "velocity_limit")
-    return {
-        "name": robot.name,
-        "base": robot.base,
-        "tip": robot.tip,
-        "reach": robot.reach,
+    return {name: getattr(robot, name) for name in ("name", "base", "tip", "reach")} | {
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
         "mimic_joints": {
@@ -283,19 +279,10 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
     T = arm.fk(values)
     at = arm.joint_values(values)
     rpy, quat = matrix_rpy(T.rotation), matrix_quat(T.rotation)
-    payload = {
-        "robot": arm.name,
-        "base": arm.base,
-        "tip": arm.tip,
-        "joint_names": arm.joint_names,
-        "q": values,
-        "mimic_joints": {joint: at[joint] for joint in arm.mimic_joints},
-        "xyz": T.translation,
-        "rpy": rpy,
-        "quat_xyzw": quat,
-        "T_base_tip": T.homogeneous,
-    }
-    write_json(payload, out.as_json)
+    payload = {"robot": arm.name, "base": arm.base, "tip": arm.tip, "joint_names": arm.joint_names, "q": values}
+    payload["mimic_joints"] = {joint: at[joint] for joint in arm.mimic_joints}
+    pose = {"xyz": T.translation, "rpy": rpy, "quat_xyzw": quat, "T_base_tip": T.homogeneous}
+    write_json(payload | pose, out.as_json)
     if out.as_json:
         return
     angles = [math.degrees(x) if deg else x for x in rpy]

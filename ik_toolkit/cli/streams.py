@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -64,6 +64,17 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
 
 
 @contextmanager
+def handling(numbers: Iterable[int], handler: Callable[..., Any]) -> Iterator[dict[int, Any]]:
+    """Context manager: handle signals in the block; yields the handlers before, by number, which are set again after it."""
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield before
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier if earlier is not None else signal.SIG_DFL)
+
+
+@contextmanager
 def stoppable(came: list[int]) -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, by KeyboardInterrupt, and append the signal received to `came`.
 
@@ -97,18 +108,14 @@ def stoppable(came: list[int]) -> Iterator[None]:
             show_dropped(what)
 
     # Ctrl-C stays ignored where the shell has set that, as for commands in the background.
-    heard = [
-        signal.SIGTERM,
-        *([signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []),
-    ]
-    before = {number: signal.signal(number, stop) for number in heard}
-    sys.unraisablehook = dropped
-    try:
-        yield
-    finally:
-        sys.unraisablehook = show_dropped
-        for number, handler in before.items():
-            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+    heard = [signal.SIGTERM]
+    heard += [signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []
+    with handling(heard, stop):
+        sys.unraisablehook = dropped
+        try:
+            yield
+        finally:
+            sys.unraisablehook = show_dropped
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -127,15 +134,8 @@ def uninterrupted() -> Iterator[None]:
         yield
         return
     came: list[Any] = []
-    before = {
-        number: signal.signal(number, lambda number, frame: came.append((number, frame)))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
+    with handling((signal.SIGINT, signal.SIGTERM), lambda *signalled: came.append(signalled)) as before:
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
     for number, frame in came[:1]:
         handler = before[number]
         if callable(handler):

@@ -83,12 +83,9 @@ class TargetOptions:
             if len(x) not in MATRIX:
                 raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")
             return _pose_of(x)
-        rpy, xyzw, wxyz = (
-            None if text is None else vector(text, name, size)
-            for text, name, size in (
-                (self.rpy, "--rpy", 3), (self.quat_xyzw, "--quat-xyzw", 4), (self.quat_wxyz, "--quat-wxyz", 4)
-            )
-        )  # fmt: skip
+        rpy = None if self.rpy is None else vector(self.rpy, "--rpy", 3)
+        xyzw = None if self.quat_xyzw is None else vector(self.quat_xyzw, "--quat-xyzw", 4)
+        wxyz = None if self.quat_wxyz is None else vector(self.quat_wxyz, "--quat-wxyz", 4)
         angles = [math.radians(x) for x in rpy] if rpy and deg else rpy
         ways, axes = self._directions()
         for name, one in (("--direction", ways), ("--tip-axis", axes)):
@@ -126,9 +123,8 @@ class TargetOptions:
         for name, one, others in (("--direction", ways, made), ("--tip-axis", axes, ways)):
             for tip in one if isinstance(one, dict) else ():
                 if tip not in made or (isinstance(others, dict) and tip not in others):
-                    raise InvalidOption(
-                        f"{name} {tip}:... needs a {'--target' if tip not in made else '--direction'} of {tip}"
-                    )
+                    needed = "--target" if tip not in made else "--direction"
+                    raise InvalidOption(f"{name} {tip}:... needs a {needed} of {tip}")
         return made
 
     def reached(self, arm: Any, deg: bool) -> Any:

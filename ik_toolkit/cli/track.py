@@ -10,9 +10,9 @@ import typer
 
 from ..errors import InvalidOption
 from ..text import angle, duration, equations, figure, length
-from .command import command, flag, option, options
+from .command import above_zero, command, flag, option, options
 from .gains import along_the_path, judged
-from .options import CollisionOptions, RobotOptions, SceneOutput, above_zero, joint_vector, parameters
+from .options import CollisionOptions, RobotOptions, SceneOutput, joint_vector, parameters
 from .output import keep_partial, notice, progress, show, table, turns, unit, write_json
 from .pictures import chart, show_scene
 from .streams import uninterrupted
@@ -143,12 +143,8 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
     if (steps := asked.rate * seconds) > MAX_STEPS:
         raise InvalidOption(f"--rate {asked.rate:g} over {seconds:g} s is {steps:.3g} steps; at most {MAX_STEPS:g}")
     fixed = {name: getattr(asked, name) for name in ("method", "limits", "settle", "on_limit", "max_stretch")} | more
-    fixed |= {
-        "reference": path.reference,
-        "q0": path.q0,
-        "dt": 1.0 / asked.rate,
-        "acceleration_limits": asked.acceleration,
-    }
+    fixed |= {"reference": path.reference, "q0": path.q0}
+    fixed |= {"dt": 1.0 / asked.rate, "acceleration_limits": asked.acceleration}
     if fixed["orientation_tolerance"] is None:
         fixed["orientation_tolerance"] = ORIENTATION_TOLERANCE
     params = parameters(asked.param)

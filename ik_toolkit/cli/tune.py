@@ -82,15 +82,8 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
         writable(file.suffix)(file)
     unchanged = "method maps targets held_out generations population seconds seed tolerance max_iterations how".split()
     with _record(record, asked.resume), progress("searching", asked.generations, asked.seconds) as bar:
-        result = search(
-            arm,
-            asked.solver,
-            position_only=not asked.pose,
-            initial=initial,
-            checkpoint=record,
-            progress=_telling(bar),
-            **{name: getattr(asked, name) for name in unchanged},
-        )
+        options = {name: getattr(asked, name) for name in unchanged} | {"initial": initial, "checkpoint": record}
+        result = search(arm, asked.solver, position_only=not asked.pose, progress=_telling(bar), **options)
     if result.interrupted:
         preset = partial(preset)
     with uninterrupted():

@@ -158,11 +158,9 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options:
     from ..solvers.solve import solve as solve_one
     from ..solvers.solve import solve_all
 
-    if every:
-        found = solve_all(arm, target, solver, start, **options)
-        if len(found):
-            notice(found.message)
-            return list(found), True
+    if every and len(found := solve_all(arm, target, solver, start, **options)):
+        notice(found.message)
+        return list(found), True
     result = solve_one(arm, target, solver, q0=start, history=True, **options)
     notice(f"{result.status.name}: {result.message}")
     return result, result.success

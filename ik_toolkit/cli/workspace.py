@@ -122,14 +122,8 @@ def _show(found: Any) -> None:
         low, high = data["wilson_95"]
         steps = data["mean_iterations"]
         other = "\n".join(f"{count} {status}" for status, count in outcome.statuses.items() if status != "CONVERGED")
-        made.add_row(
-            name,
-            f"{outcome.solved} of {outcome.targets}",
-            f"{1000 * low:.1f}..{1000 * high:.1f}",
-            "-" if steps is None else f"{steps:.1f}",
-            length(outcome.worst),
-            other or "-",
-        )
+        cells = (f"{outcome.solved} of {outcome.targets}", f"{1000 * low:.1f}..{1000 * high:.1f}")
+        made.add_row(name, *cells, "-" if steps is None else f"{steps:.1f}", length(outcome.worst), other or "-")
     show(made)
     for name, rows in found.failures.items():
         if len(rows):

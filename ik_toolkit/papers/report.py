@@ -61,11 +61,14 @@ class Report:
         """Add a paragraph of Markdown."""
         self._parts.append(" ".join(text.split()))
 
-    def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]], least: float = 0.0) -> None:
+    def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]] | str, least: float = 0.0) -> None:
         """Add a table under a key of `data`; floats are shown with 5 significant digits and stored in full precision.
 
+        Rows of text may be given as one text, a line each, with " | " between the cells.
         Numbers below `least` are shown as "under LEAST", because their digits are rounding that depends on the processor.
         """
+        if isinstance(rows, str):
+            rows = [line.strip().split(" | ") for line in rows.strip().splitlines()]
         self.data[key] = {"columns": list(head), "rows": [list(row) for row in rows]}
         lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
         lines += ["| " + " | ".join(cell(x, least) for x in row) + " |" for row in rows]

@@ -12,7 +12,7 @@ from ...solvers.batch.result import BatchResult
 from ...solvers.batch.solve_batch import solve_batch
 from ...solvers.rules.pid import PID
 from ...solvers.rules.state_space import StateSpace
-from ...solvers.solve import Solver
+from ...solvers.solve import Solver, solve
 from ...study.targets import sample_targets
 from ..report import Report
 from .figures import draw_existence, draw_gains
@@ -90,7 +90,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves like the paper's, from q0 (n,)."""
     report.heading("Fig. 4: the gain K_p on one goal")
     goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
-    miss = {unit: least_distance(robot, goal * f) for unit, f in (("mm", 1e-3), ("cm", 1e-2))}
+    miss = {unit: solve(robot, goal * f).position_error for unit, f in (("mm", 1e-3), ("cm", 1e-2))}
     report.number("published_goal_miss", miss)
     published = StateSpace.preset("burrell-2016")
 
@@ -145,24 +145,3 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     )
     report.figure("fig4.png", caption, draw_existence, runs, sweep, ends)
     return found
-
-
-def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
-    """Return the distance [m] from a point (3,) to the nearest tip that a search finds.
-
-    From the nearest `starts` of 200,000 random configurations it makes random moves of decreasing size.
-    """
-    rng = np.random.default_rng(seed)
-    Q = robot.random_q(rng, 200_000)
-    far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
-    best = np.argsort(far)[:starts]
-    Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the standard deviation of a move [rad or m].
-        tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
-        away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
-        away = away.reshape(starts, -1)
-        least = away.argmin(axis=1)
-        better = away[np.arange(starts), least] < far
-        Q[better] = tries[np.arange(starts), least][better]
-        far = np.minimum(far, away.min(axis=1))
-    return float(far.min())

@@ -249,14 +249,8 @@ def _planar(report: Report, seeds: Any) -> None:
         ours = "stands still" if run.stands_still else ours
         share, moved = 1000.0 * over.solved / over.targets, 1000.0 * over.solved_offset / over.targets
         rows.append([name, said, ours, f"{share:.0f}", f"{moved:.0f}", over.iterations])
-    head = [
-        "solver",
-        "published: (5, 0) from straight",
-        "ours",
-        "goals of 1000 from straight",
-        "start moved 1e-6",
-        "steps",
-    ]
+    head = ["solver", "published: (5, 0) from straight", "ours"]
+    head += ["goals of 1000 from straight", "start moved 1e-6", "steps"]
     report.table("planar", head, rows)
     off = np.linalg.norm(robot.fk(np.radians([47.6, -60.0, -18.8])).translation - target)
     report.text(
@@ -337,4 +331,4 @@ def _other_robots(report: Report) -> None:
 
 def _misprints(report: Report) -> None:
     report.heading("Misprints and gaps, and the reading used")
-    report.table("misprints", ["place", "problem", "used"], [list(row) for row in MISPRINTS])
+    report.table("misprints", ["place", "problem", "used"], MISPRINTS)

@@ -35,35 +35,24 @@ PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
 )  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
-MISPRINTS = (  # place in the paper, problem, and the correction that is used here
-    ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
-    (
-        "eq. (2), Table I",
-        "a_{i-1} in the formula, a in the table",
-        "classic rows; the same here, as row 6 has a = alpha = 0",
-    ),
-    (
-        "section 3.1",
-        "T_i 'from the 1st to the i-th joint'; yaw, pitch, roll 'about x, y, z'",
-        "T_i: link i-1 to i; yaw z, pitch y, roll x",
-    ),
-    ("section 6.4", "names eq. (10) and J+, works (11)-(12), the transpose; alpha is 0/0, not 0", "J^T e = 0"),
-    ("section 4", "'+dtheta and +dtheta'", "plus and minus"),
-    ("Algorithm I, line 15", "'if theta > minimum limit'", "< minimum"),
-    (
-        "Algorithm I, lines 8-14",
-        "the minus trial starts from the saturated plus trial",
-        "theta - delta, evaluated as a vector",
-    ),
-    ("Algorithm I", "no exits; first change of |e| undefined", "exits of the text; 0; tip first; not moving wins ties"),
-    ("eq. (13)", "the sum of norms never falls, so K_i leaves a floor", "K_i as small as printed"),
-    ("eqs. (14)-(15)", "x(0), delay and windup unsaid", "x(0) = 0, literal delay, state untouched by saturation"),
-    ("sections 6.1, 6.2", "start, goals, tolerance, iteration limit, tuned matrices unpublished", "ours, stated"),
-    ("section 6.3", "'approximately 65 %'", "Table II: 73, 68, 64, 76 %"),
-    ("Table II, IK-PID", "time falls as the tolerance tightens: no early exit was timed", "our exits"),
-    ("section 1", "six joints 'hence redundant'", "redundant for positions only"),
-    ("conclusion", "'improved robustness against singularities'", "one planar goal; see section 6.4"),
-)
+# Place in the paper, problem, and the correction that is used here.
+MISPRINTS = """
+eq. (2), element (2,4) | +sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit | minus
+eq. (2), Table I | a_{i-1} in the formula, a in the table | classic rows; the same here, as row 6 has a = alpha = 0
+section 3.1 | T_i 'from the 1st to the i-th joint'; yaw, pitch, roll 'about x, y, z' | T_i: link i-1 to i; yaw z, pitch y, roll x
+section 6.4 | names eq. (10) and J+, works (11)-(12), the transpose; alpha is 0/0, not 0 | J^T e = 0
+section 4 | '+dtheta and +dtheta' | plus and minus
+Algorithm I, line 15 | 'if theta > minimum limit' | < minimum
+Algorithm I, lines 8-14 | the minus trial starts from the saturated plus trial | theta - delta, evaluated as a vector
+Algorithm I | no exits; first change of |e| undefined | exits of the text; 0; tip first; not moving wins ties
+eq. (13) | the sum of norms never falls, so K_i leaves a floor | K_i as small as printed
+eqs. (14)-(15) | x(0), delay and windup unsaid | x(0) = 0, literal delay, state untouched by saturation
+sections 6.1, 6.2 | start, goals, tolerance, iteration limit, tuned matrices unpublished | ours, stated
+section 6.3 | 'approximately 65 %' | Table II: 73, 68, 64, 76 %
+Table II, IK-PID | time falls as the tolerance tightens: no early exit was timed | our exits
+section 1 | six joints 'hence redundant' | redundant for positions only
+conclusion | 'improved robustness against singularities' | one planar goal; see section 6.4
+"""
 
 
 def attempt(robot: Robot, goals: np.ndarray, rule: Any, q0: np.ndarray | None, **options: Any) -> BatchResult:

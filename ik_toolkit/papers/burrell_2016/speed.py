@@ -38,11 +38,8 @@ AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
 BASE = "J+"  # all times are divided by that of this method, the pseudo-inverse
-SAME_AS = {
-    "J+, plain": "J+",
-    "DLS, clipped": "DLS",
-    "DLS, limits held": "DLS",
-}  # for each of these methods, the method of Table II with which it is compared
+# For each of these methods, the method of Table II with which it is compared.
+SAME_AS = {"J+, plain": "J+", "DLS, clipped": "DLS", "DLS, limits held": "DLS"}
 
 Times = dict[str, list[np.ndarray]]  # times [s] of all runs for each tolerance, by method
 
@@ -106,13 +103,8 @@ def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tu
             times[name].append(spent)
             batch = made[name]
             evaluations, sweeps = batch.fk_evaluations[good].sum() - good.sum(), batch.iterations[good].sum()
-            steps[name].append(
-                {
-                    "steps": float(batch.iterations[good].mean()),
-                    "fk_a_step": float(evaluations / max(sweeps, 1)),
-                    "solved": 1000.0 * float(batch.success.mean()),
-                }
-            )
+            each = {"steps": float(batch.iterations[good].mean()), "fk_a_step": float(evaluations / max(sweeps, 1))}
+            steps[name].append({**each, "solved": 1000.0 * float(batch.success.mean())})
     return times, steps
 
 

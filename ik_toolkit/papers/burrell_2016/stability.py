@@ -15,15 +15,8 @@ from .published import attempt
 
 SETTLED = 1e-6  # [rad] A run ended in the affine subspace q0 + S w (its "slice") if its distance from it is below this.
 NEAR = 1e-9  # [rad] A joint nearer to a limit than this counts as at the limit.
-KP = (
-    0.02,
-    0.05,
-    0.07,
-    0.1,
-    0.12,
-    0.15,
-    0.2,
-)  # gains [degrees per mm] at which margins of IK-PID are compared with runs
+# Gains [degrees per mm] at which the margins of IK-PID are compared with runs.
+KP = (0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
 
 
 def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets: list[np.ndarray]) -> None:

@@ -302,19 +302,15 @@ def _certified(report: Report, rng: np.random.Generator, target: tuple[float, fl
 
 def _misprints(report: Report) -> None:
     report.heading("Misprints")
-    rows = [
-        ["(2) sin(theta_2) = sqrt((1 - cos^2))^2", "that is the square of the sine", "+-sqrt(1 - cos^2)"],
-        ["(3) theta_1 = gamma - beta", "for theta_2 > 0 only", "gamma - atan2(l2 s2, l1 + l2 c2), s2 signed"],
-        ["(4), (5) paired signs", "the lower ones are wrong", "always minus, s2 signed"],
-        [
-            "arctan(y/x), arctan(a2 s2/(a1 + a2 c2))",
-            "wrong quadrant for a negative denominator, undefined at 0",
-            "atan2",
-        ],
-        ["a1, a2 beside l1, l2", "two names for one thing", "l1, l2"],
-        ["'error = desired - current joint angles'", "contradicts (9)", "position error f(theta) - x_d"],
-        ["(6) (x - x_n)", "not the residual", "f(theta_n) - x_d, as (9)"],
-        ["'minimise'", "(7) looks for a root; where there is none it wanders", "reach test, or Levenberg-Marquardt"],
-        ["stop rule, singular case, reach test, numbers", "absent", "above"],
-    ]
+    rows = """
+        (2) sin(theta_2) = sqrt((1 - cos^2))^2 | that is the square of the sine | +-sqrt(1 - cos^2)
+        (3) theta_1 = gamma - beta | for theta_2 > 0 only | gamma - atan2(l2 s2, l1 + l2 c2), s2 signed
+        (4), (5) paired signs | the lower ones are wrong | always minus, s2 signed
+        arctan(y/x), arctan(a2 s2/(a1 + a2 c2)) | wrong quadrant for a negative denominator, undefined at 0 | atan2
+        a1, a2 beside l1, l2 | two names for one thing | l1, l2
+        'error = desired - current joint angles' | contradicts (9) | position error f(theta) - x_d
+        (6) (x - x_n) | not the residual | f(theta_n) - x_d, as (9)
+        'minimise' | (7) looks for a root; where there is none it wanders | reach test, or Levenberg-Marquardt
+        stop rule, singular case, reach test, numbers | absent | above
+    """
     report.table("misprints", ["published", "what is wrong", "reading used"], rows)

@@ -130,12 +130,8 @@ CASES = {
 def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
     """Track a case's path by the method METHODS[key] from an initial error `offset` [m]; `changes` replace options."""
     name, options = METHODS[key]
-    options = dict(options)
-    if name == "cv":
-        options["kappa"] = gains.kappa
-    elif name == "ca":
-        options.update(kp=gains.kp, kd=gains.kd)
-    options.update(changes)
+    own: dict[str, Any] = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}
+    options = {**options, **own.get(name, {}), **changes}
     h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
     with np.errstate(all="ignore"):  # a run that leaves the domain of sqrt is reported, so numpy need not warn
         return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)

@@ -44,12 +44,8 @@ def gallery(plt: Any, robot: Robot) -> Any:
         broken = robot.outside(branch)
         says = "breaks " + ", ".join(broken[:2]) if broken else "inside the limits"
         says += ",\n" + ", ".join(broken[2:]) if broken[2:] else ""
-        axis.set_title(
-            f"{k + 1}:  " + "  ".join(f"{x:.0f}" for x in angles) + f"\n{says}",
-            fontsize=7,
-            color="0.45" if broken else "black",
-            y=0.96,
-        )
+        title = f"{k + 1}:  " + "  ".join(f"{x:.0f}" for x in angles) + f"\n{says}"
+        axis.set_title(title, fontsize=7, color="0.45" if broken else "black", y=0.96)
         axis.set(xlim=(-0.12, 0.4), ylim=(-0.2, 0.32), zlim=(0.5, 1.02))
         axis.set_box_aspect((1, 1, 1), zoom=1.5)
         axis.view_init(20, -65)

@@ -13,15 +13,8 @@ PRINTED_POSE = {
 D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # [mm] D-H lengths d and a, from Table 2
 # The D-H parameters alpha, a and d of each joint.
 TABLE_2 = ((0, 0, 530), (90, 0, 220), (90, 0, 0), (0, 290, 0), (-90, 0, 0), (0, 180, 0), (0, 45, 0))
-ORIGIN = (
-    20.0,
-    220.0,
-    20.0,
-    0.0,
-    20.0,
-    0.0,
-    20.0,
-)  # Our choice of joint values [deg, mm, deg, ...], because the paper does not say where the pose was computed.
+# Our choice of joint values [deg, mm, deg, ...], because the paper does not say where the pose was computed.
+ORIGIN = (20.0, 220.0, 20.0, 0.0, 20.0, 0.0, 20.0)
 ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # joint values of Table 3
 SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # joint values of Table 4 and Fig 8
@@ -108,7 +101,6 @@ def fig4(
 
 def pose_error(T: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
     """Return the distance [in the unit of the poses] and the rotation angle [rad] between two poses (4, 4)."""
-    trace = float(np.trace(T[:3, :3].T @ goal[:3, :3]))
-    skew = T[:3, :3].T @ goal[:3, :3]
-    sine = 0.5 * math.hypot(skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1])
-    return float(np.linalg.norm(T[:3, 3] - goal[:3, 3])), math.atan2(sine, 0.5 * (trace - 1.0))
+    R = T[:3, :3].T @ goal[:3, :3]
+    sine = 0.5 * math.hypot(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
+    return float(np.linalg.norm(T[:3, 3] - goal[:3, 3])), math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))

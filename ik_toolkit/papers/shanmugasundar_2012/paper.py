@@ -270,35 +270,22 @@ def _misprints(report: Report, printed: np.ndarray) -> None:
     tops = (2 * paper.D1, paper.D1 + paper.D2)
     s6 = [(-s3 * (c1 * p[0] + s1 * p[1]) + c3 * (p[2] - top) - s67 * paper.A7) / paper.A6 for top in tops]
     report.number("s6_with_d1_d1_and_d1_d2", s6)
-    rows = [
-        [
-            "theta_1 = 2 Atan2(py, px), (14)",
-            "no basis; the sample hits 21.37 for 20 by its place on the self-motion",
-            "theta_1 from the wrist rotation",
-        ],
-        [
-            "d1 + d1 in S6 and C6, Fig 4",
-            f"with it S6 = {s6[0]:.2f}: no angle; the printed {paper.S6} needs d1 + d2 (ours {s6[1]:.3f})",
-            "d1 + d2",
-        ],
-        ["S2, C2 in theta_4", "misprint", "S4, C4"],
-        ["Atan2(S/C), one argument", "slip of notation", "atan2(S, C)"],
-        ["+-Atan2(s, sqrt(1 - s^2))", "-theta has the sine -s", "atan2(s, +-sqrt(1 - s^2)): theta or pi - theta"],
-        ["theta_45 = acos(...), (9)", "loses the sign", "+-acos, both are solutions"],
-        ["theta_67", "used, never given", "atan2 of its sine and cosine"],
-        [
-            "theta_2 = 0",
-            "joint 2 is the lift, taken as known; the third position equation is never checked",
-            "the lift is an input or the free parameter",
-        ],
-        ["division by s45 and C3", "undefined where they vanish, not mentioned", "ours divides by neither"],
-        ["Table 1, Atan2(0, negative)", "gives 0 (sign(0) = 0)", "pi"],
-        ["'only positive integers are taken'", "one branch of 8", "all branches, then limits"],
-        [
-            "theta_4 = 1.048 from 0.018",
-            f"asin(0.018) = {math.degrees(math.asin(0.018)):.3f} deg",
-            "slip of an intermediate",
-        ],
-        ["limits, units of theta_2, reach test, timing", "absent", "limits assumed, reach exact, times above"],
-    ]
+    place = "no basis; the sample hits 21.37 for 20 by its place on the self-motion"
+    sines = f"with it S6 = {s6[0]:.2f}: no angle; the printed {paper.S6} needs d1 + d2 (ours {s6[1]:.3f})"
+    lift = "joint 2 is the lift, taken as known; the third position equation is never checked"
+    rows = f"""
+        theta_1 = 2 Atan2(py, px), (14) | {place} | theta_1 from the wrist rotation
+        d1 + d1 in S6 and C6, Fig 4 | {sines} | d1 + d2
+        S2, C2 in theta_4 | misprint | S4, C4
+        Atan2(S/C), one argument | slip of notation | atan2(S, C)
+        +-Atan2(s, sqrt(1 - s^2)) | -theta has the sine -s | atan2(s, +-sqrt(1 - s^2)): theta or pi - theta
+        theta_45 = acos(...), (9) | loses the sign | +-acos, both are solutions
+        theta_67 | used, never given | atan2 of its sine and cosine
+        theta_2 = 0 | {lift} | the lift is an input or the free parameter
+        division by s45 and C3 | undefined where they vanish, not mentioned | ours divides by neither
+        Table 1, Atan2(0, negative) | gives 0 (sign(0) = 0) | pi
+        'only positive integers are taken' | one branch of 8 | all branches, then limits
+        theta_4 = 1.048 from 0.018 | asin(0.018) = {math.degrees(math.asin(0.018)):.3f} deg | slip of an intermediate
+        limits, units of theta_2, reach test, timing | absent | limits assumed, reach exact, times above
+    """
     report.table("misprints", ["published", "what is wrong", "reading used"], rows)

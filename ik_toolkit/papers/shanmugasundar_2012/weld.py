@@ -321,10 +321,6 @@ def draw_weld(plt: Any, robot: Robot, canister: Canister, plans: dict[str, WeldP
                 colour = COLOURS[0] if one.branch == plan.branch else "0.85"
                 right.bar(pose, 1000 * (one.high - one.low), 1.02, 1000 * one.low, color=colour)
         right.plot(1000 * plan.lifts, color=COLOURS[1], lw=2)
-        right.set(
-            xlabel="pose along the seam",
-            ylabel="lift (mm)",
-            title=f"travel {1000 * plan.travel:.1f} mm",
-            ylim=(-10, 450),
-        )
+        right.set(xlabel="pose along the seam", ylabel="lift (mm)", ylim=(-10, 450))
+        right.set_title(f"travel {1000 * plan.travel:.1f} mm")
     return figure

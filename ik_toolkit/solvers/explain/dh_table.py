@@ -56,15 +56,11 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
         cells += [digits(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
         rows.append((row.name, *cells))
     yield Table(("joint", "theta", "d", "a", "alpha"), rows)
-    frames = [
-        f"{word} frame"
-        for word, T in (("before row 1, from the base's", table.base), ("after the last row, to the tip's", table.tool))
-        if not np.allclose(T, np.eye(4), atol=1e-9)
-    ]
+    ends = {"before row 1, from the base's frame": table.base, "after the last row, to the tip's frame": table.tool}
+    frames = [words for words, T in ends.items() if not np.allclose(T, np.eye(4), atol=1e-9)]
     constant = f" A constant transform stands {' and '.join(frames)}." if frames else ""
-    yield Sentence(
-        f"{table.convention.capitalize()} convention; joint variables are marked, with their present values.{constant}"
-    )
+    said = "convention; joint variables are marked, with their present values"
+    yield Sentence(f"{table.convention.capitalize()} {said}.{constant}")
 
 
 def _from_axes(robot: Any) -> DHTable | None:
@@ -93,18 +89,10 @@ def _from_axes(robot: Any) -> DHTable | None:
             onto = screws.point[i + 1] if screws.turns[i + 1] else origin
             frame = _next(z, x, origin, after, onto, near)
         step = frame[:3, 3] - origin
-        rows.append(
-            DHRow(
-                robot.joint_names[i],
-                "revolute" if screws.turns[i] else "prismatic",
-                _clean(angle_about(z, before[:3, 0], frame[:3, 0])),
-                _clean(float(z @ step)),
-                _clean(float(frame[:3, 0] @ step)),
-                _clean(angle_about(frame[:3, 0], z, frame[:3, 2])),
-                float(robot.lower[i]),
-                float(robot.upper[i]),
-            )
-        )
+        theta, alpha = angle_about(z, before[:3, 0], frame[:3, 0]), angle_about(frame[:3, 0], z, frame[:3, 2])
+        theta, d, a, alpha = map(_clean, (theta, float(z @ step), float(frame[:3, 0] @ step), alpha))
+        name, kind = robot.joint_names[i], "revolute" if screws.turns[i] else "prismatic"
+        rows.append(DHRow(name, kind, theta, d, a, alpha, float(robot.lower[i]), float(robot.upper[i])))
     return DHTable(robot.name, "classic", tuple(rows), base, np.linalg.inv(frame) @ screws.T)
 
 
