@@ -112,7 +112,9 @@ def _read(given: list[str], robot: OneTip, file: FileOptions) -> tuple[Any, Any]
     if robot.tip is not None:
         raise InvalidOption("--poses TIP:FILE names the tips; omit --tip")
     arm = robot.load(list(files))
-    return arm, {tip: file.poses(path, arm, robot.deg) for tip, path in files.items()}
+    return arm, {
+        tip: file.poses(files[tip], one, robot.deg) for tip, one in zip(arm.tips, arm.arms, strict=True) if tip in files
+    }
 
 
 def _one_or_two(text: str, name: str) -> list[float]:

@@ -97,7 +97,7 @@ def test_pictures_are_drawn(run, files, tmp_path):
         (["--retime"], "--retime needs --acceleration"),
         (["--retime", "--acceleration", "1", "-o", "x.npz"], r"\.csv or \.json"),
         (["--max-step-deg", "0"], "--max-step-deg must be positive"),
-        (["--free-turn", "w"], "--free-turn takes"),
+        (["--free-turn", "w"], r"--free-turn \(x, y, z, or a vector\) takes 3 numbers"),
         (["--reconfigurations", "many"], "reconfigurations must be 'fewest'"),
         (["--plot", "x.txt"], r"must end in"),
     ],

@@ -112,14 +112,15 @@ def test_neighbours_and_more_attempts_find_what_few_miss(monkeypatch):
 
 
 def test_neighbours_start_elsewhere_and_help_each_other(monkeypatch):
-    """With starts of their own the noes that touch a yes need a sixth of the attempts."""
+    """With starts of their own the noes that touch a yes miss at most a quarter of what they miss with shared ones."""
     box = ((0.125, -0.15, -0.2), (0.375, 0.15, 0.3))
     asked = {"resolution": 0.025, "orientations": [ik.pose(rpy=(1.5661, -0.7576, 1.7676))], "audit": 0}
     robot, yes = robots.load("panda"), {}
     for groups, many in ((study.EFFORT.groups, 50), (1, 50), (1, 300)):
         monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(groups=groups, many=many))
         yes[groups, many] = ik.reachability(robot, box, **asked).counts()["yes"]
-    assert yes[16, 50] == yes[1, 300] > yes[1, 50]
+    shared, own = (yes[1, 300] - yes[groups, 50] for groups in (1, 16))
+    assert 0 <= own <= shared / 4 and shared > 0
 
 
 def test_the_audit_finds_false_noes_and_corrects_them(monkeypatch):

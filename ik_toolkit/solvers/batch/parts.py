@@ -164,10 +164,7 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved on threads of this process; one is the caller's own."""
-    if threads == 1:
-        yield from (_solve_part(plan, job, share) for job in jobs)
-        return
+    """Yield the result rows and failures of each job, in order, solved on threads of this process."""
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:

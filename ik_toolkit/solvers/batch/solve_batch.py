@@ -78,7 +78,6 @@ def solve_parts(
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
-        count = min(count, max(1, math.ceil(total / size)))
     jobs = _jobs(robot, joined([first], chunks), starts, size)
     if executor is not None:
         tables = on_executor(plan, jobs, check, executor)
