@@ -171,8 +171,9 @@ def tables(runs: list[dict[str, Any]], against: str) -> list[str]:
             ),
             ("Success (within limits and tolerances by Pinocchio), percent (95 % interval), and targets:", _success),
         ):
-            rows = [[f"`{key}`", *(cell(run["rows"].get(key)) for run in group)] for key in keys]
-            parts += [title, common.table(head, rows)]
+            rows = {key: [cell(run["rows"].get(key)) for run in group] for key in keys}
+            if any(any(cells) for key, cells in rows.items() if key != against):  # ratios need the same targets
+                parts += [title, common.table(head, [[f"`{key}`", *cells] for key, cells in rows.items()])]
     return parts
 
 
