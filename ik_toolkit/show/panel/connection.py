@@ -155,10 +155,10 @@ class Visit:
 
         self.worker.post(name, self._guard(noted))
 
-    def say(self, text: str, color: str = PLAIN) -> None:
-        """Show a sentence in the status line."""
+    def say(self, text: str, color: str = PLAIN, instead_of: str | None = None) -> None:
+        """Show a sentence in the status line; with `instead_of`, only if the line still has this content."""
         text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
-        if self.status is None:
+        if self.status is None or instead_of not in (None, self.status.content):
             return
         self.status.content = (
             f'{STYLE}<div role="status" style="padding:4px 12px;color:{color};font-size:13px;line-height:1.4;min-height:2.8em">'

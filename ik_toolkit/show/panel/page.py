@@ -49,8 +49,9 @@ class PanelPage(Visit):
         self.show()
         words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
         self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
+        waiting = self.status.content
         self.worker.post("prepare", self._guard(self.session.prepare))
-        self.worker.post("ready", self._guard(lambda: self.say(words)))
+        self.worker.post("ready", self._guard(lambda: self.say(words, instead_of=waiting)))
 
     def _build_controls(self) -> None:
         s, gui = self.session, self.gui
