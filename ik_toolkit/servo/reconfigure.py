@@ -139,9 +139,8 @@ class Searching(NamedTuple):
     attempts: int = 96  # if one attempt in ten succeeds, all fail in one search of 25,000
     attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
     share: float = 0.05  # share of the time between two updates that a search may take, so that it ends within 0.02 s
-    rush: float = (
-        0.02  # a search ends after this share of the duration of the best move found, because the arm is waiting
-    )
+    # A search ends after this share of the duration of the best move found, because the arm is waiting.
+    rush: float = 0.02
     pause: float = 3.0  # [s] after a search that found nothing; it doubles each time while the target stands still
     longest: float = 16.0  # [s] longest pause, so that 99 % of the updates do not search
     # [m, or rotation matrix entries] If a standing target has moved further, a new search need not wait for the pause.
@@ -322,10 +321,8 @@ class Reconfiguration:
         q = taken.q
         self._time = time_left(q, goal, taken.limits)
         if stood < self._time and taken.stand[STAND.rest] < WAIT:
-            on_way = sum(self.postures.size(taken.error_at(q + part * (goal - q))) for part in MOVE.on_way) / len(
-                MOVE.on_way
-            )
-            self._price = on_way * self._time
+            on_way = [self.postures.size(taken.error_at(q + part * (goal - q))) for part in MOVE.on_way]
+            self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
         self.goal, self._place = goal, place  # The target may have moved on since; `go` follows it from there.

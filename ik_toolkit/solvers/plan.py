@@ -264,9 +264,8 @@ class Plan:
         robot, k = self.robot, 0
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
-            k = int(
-                np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax()
-            )  # the first that is not a number, if there is one
+            # The first that is not a number, if there is one.
+            k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
         robot.check_q(Q[k], self._start_name(Q, k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q
         far = np.abs(inside / robot.chain.unit) >= LARGEST

@@ -84,9 +84,8 @@ def put_branch(d, free, half, merged, doubt, error, near):
                 found[count + 1, i] = wrapped(q[i])
             found[0, 7] = -1.0 if free >= 0 else found[0, 7]
         return
-    free = (
-        -1 if doubt else free
-    )  # An angle that may not be free is refined, as the answer must list no poses that miss the target.
+    # An angle that may not be free is refined, as the answer must list no poses that miss the target.
+    free = -1 if doubt else free
     size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
     if free < 0 and (size > TRUST.closed or (inexact and not merged)):
         size = close(d.loop, TRUST.steps, TRUST.longest, TRUST.still)
