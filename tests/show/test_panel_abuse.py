@@ -355,13 +355,3 @@ def test_memory_stays_flat(panel, record_property):
     )
     check_alive(panel)
     assert last - first < 40
-
-
-def test_a_late_sentence_replaces_only_the_one_it_waits_for(desk):
-    desk.say("loading")
-    loading = desk.status.content
-    desk.say("no such robot")
-    desk.say("ready", instead_of=loading)
-    assert "no such robot" in desk.status.content
-    desk.say("ready", instead_of=desk.status.content)
-    assert "ready" in desk.status.content and "no such robot" not in desk.status.content
