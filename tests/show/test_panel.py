@@ -332,16 +332,6 @@ def test_all_solutions_can_be_picked(desk):
     assert not desk.stage.shade[-1].visible
 
 
-def test_a_late_sentence_replaces_only_the_one_it_waits_for(desk):
-    desk.say("loading")
-    loading = desk.status.content
-    desk.say("no such robot")
-    desk.say("ready", instead_of=loading)
-    assert "no such robot" in desk.status.content
-    desk.say("ready", instead_of=desk.status.content)
-    assert "ready" in desk.status.content and "no such robot" not in desk.status.content
-
-
 def test_switching_robot_units_and_home(desk):
     desk._guard(lambda: desk._switch("planar_3r"))()
     assert len(desk.sliders) == 3 and "planar_3r" in desk.status.content

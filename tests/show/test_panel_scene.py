@@ -304,3 +304,13 @@ def test_arms_of_few_joints_are_given_positions_at_first(desk):
     assert desk.goals[0].kind == "free"
     desk._solve_all()
     assert len(desk.session.solutions) == 2
+
+
+def test_a_late_sentence_replaces_only_the_one_it_waits_for(desk):
+    desk.say("loading")
+    loading = desk.status.content
+    desk.say("no such robot")
+    desk.say("ready", instead_of=loading)
+    assert "no such robot" in desk.status.content
+    desk.say("ready", instead_of=desk.status.content)
+    assert "ready" in desk.status.content and "no such robot" not in desk.status.content
