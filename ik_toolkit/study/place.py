@@ -88,7 +88,8 @@ class Placements(Sequence[Placement]):
         poses: The poses (N, 4, 4), or positions (N, 3), asked for; of a Tree a dict of these by tip.
         found: The placements.
         candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
-        shares: Share of the poses that is reached from each (M,), estimated from some of the poses.
+        shares: Share of the poses that is reached from each (M,), estimated from some of the poses; without the obstacles, where
+            even that share is too small to be among the best.
         obstacles: Corners (K, 8, 3) [m] of boxes around the obstacles.
     """
 
@@ -304,7 +305,7 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
 def _placement(study: Candidates, base: np.ndarray, measures: list[Any]) -> Placement:
     """Return the Placement for one base (4,), from many solver attempts at every pose."""
     tips = np.repeat(list(study.W), [len(W) for W in study.W.values()])
-    good, q = study.solve_beside(base, study.W, place_search.SEARCH.sure)
+    good, q = study.solve_beside(base, place_search.SEARCH.sure)
     q = np.where(good[:, None], q, np.nan)
     clear = np.nan
     if study.scene is not None and good.any():

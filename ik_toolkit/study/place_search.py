@@ -9,6 +9,7 @@ from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_parts
+from ..solvers.solve import Solver
 
 
 class SearchSizes(NamedTuple):
@@ -25,8 +26,8 @@ class SearchSizes(NamedTuple):
     rounds: int = 4  # rounds of refinement, each with half the width
     keep: int = 10  # number of bases that are refined
     around: int = 20  # number of new bases around each
-    last: int = 500  # candidates that are examined on all poses
-    near: int = 40  # candidates per round that are examined again with obstacles
+    last: int = 740  # candidates that are examined on all poses
+    final: int = 8  # rounds of refinement, of the best three, among these
     attempts: int = 4  # solver attempts per pose while candidates are examined
     sure: int = 50  # solver attempts per pose for the placements that are returned
     followed: int = 3  # placements for which a path through ordered poses is computed
@@ -76,6 +77,7 @@ class Candidates:
         self.shapes = [(name, T.copy()) for name, _, T in placed]
         self.boxes = np.array([shape.corners() @ T[:3, :3].T + T[:3, 3] for _, shape, T in placed]).reshape(-1, 8, 3)
         self.rng = np.random.default_rng(options["seed"])
+        self.moving = np.setdiff1d(np.arange(robot.n), Solver(robot, **options).plan.held)
         self.tried: list[tuple[np.ndarray, np.ndarray]] = []
         self.full: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -83,25 +85,24 @@ class Candidates:
         """Return the best bases (M, 4), best first."""
         S, N = SEARCH, sum(map(len, self.W.values()))
         few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
-        bases = np.concatenate([self.votes(), self.spread(S.spread)])
-        bases, score = self.top(bases, self.count(bases, few), 4 * S.keep)
-        score = self.count(bases, some)
         # widths of the first round of refinement: that of the region, but at most a share of the arm's reach
         width = np.minimum(
             self.high - self.low, np.array([0.15, 0.15, 0.3 / self.robot.reach, 0.15]) * self.robot.reach
         )
+        bases = np.concatenate([self.votes(), self.spread(S.spread)])
+        bases, _ = self.top(bases, self.count(bases, few, 4 * S.keep), len(bases))
+        bases = self.apart(bases, width, 4 * S.keep)
+        score = self.count(bases, some, S.keep)
         for k in range(S.rounds):
-            bases, score = self.top(bases, score, S.keep)
-            new = self.near(bases, width * 0.5**k, S.around)
-            bases, score = np.concatenate([bases, new]), np.append(score, self.count(new, some))
-        left = S.last - 4 * S.around * 3
-        bases, score = self.top(bases, score, left)
-        score = self.count(bases, self.W)
-        self.full.append((bases, score))
-        for k in range(4):
-            start, _ = self.top(*put_together(self.full), 3)
-            new = self.near(start, width * 0.5 ** (k + 2), S.around)
-            self.full.append((new, self.count(new, self.W)))
+            bases, score = self.top(bases, score, 4 * S.keep)
+            new = self.near(self.apart(bases, width * 0.5**k, S.keep), width * 0.5**k, S.around)
+            bases, score = np.concatenate([bases, new]), np.append(score, self.count(new, some, S.keep, score))
+        bases, score = self.top(bases, score, S.last - S.final * 3 * S.around)
+        self.full.append((bases, self.count(bases, self.W, S.keep)))
+        for k in range(S.final):
+            start, score = self.top(*put_together(self.full), S.keep)
+            new = self.near(start[:3], width * 0.7 ** (k + 6), S.around)
+            self.full.append((new, self.count(new, self.W, S.keep, score)))
         return self.best(4 * S.keep)
 
     def best(self, count: int) -> np.ndarray:
@@ -110,6 +111,17 @@ class Candidates:
         if not found:
             return np.empty((0, 4))
         return self.top(*put_together(found), count)[0]
+
+    @staticmethod
+    def apart(bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
+        """Return the first `count` of bases (M, 4) that are farther than width (4,) from those before them."""
+        found = bases[:1]
+        for base in bases[1:]:
+            away = np.abs(base - found)
+            away[:, 2] = np.minimum(away[:, 2], np.abs(2.0 * np.pi - away[:, 2]))
+            if len(found) < count and (away > width).any(axis=1).all():
+                found = np.append(found, base[None], axis=0)
+        return found
 
     @staticmethod
     def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -130,29 +142,66 @@ class Candidates:
         steps = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, 5.0))) % 1.0
         return self.low + steps * (self.high - self.low)
 
-    def count(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the share of poses W that is reached from each base (M,); with obstacles, bases left unexamined get 0."""
-        reached = np.zeros((len(bases), sum(map(len, W.values()))), bool)
-        once = max(1, 2**15 // reached.shape[1])
+    def count(self, bases: np.ndarray, W: dict[str, np.ndarray], keep: int, than: Any = ()) -> np.ndarray:
+        """Return the share of poses W that is reached from each base (M,).
+
+        Beside obstacles a base from which too few poses would be reached without them, to be among the `keep` best of these bases
+        and of others with the shares `than`, keeps that larger share: it is not among the best either way.
+        """
+        share, best = np.zeros(len(bases)), np.sort(than)[-keep:]
+        once = max(1, 2**15 // sum(map(len, W.values())))
         for a in range(0, len(bases), once):
             some = bases[a : a + once]
-            found = [
-                self.solve(tip, in_base(some, T).reshape(-1, *T.shape[1:]), SEARCH.attempts)[0].reshape(len(some), -1)
-                for tip, T in W.items()
-            ]
-            reached[a : a + once] = np.concatenate(found, axis=1)
-        share = reached.mean(axis=1)
-        if self.scene is not None:
-            order = np.argsort(-share, kind="stable")[: 4 * SEARCH.near]
-            looked = order[:: max(1, len(order) // SEARCH.near)]
-            share = np.zeros(len(bases))
-            for k in looked[reached[looked].any(axis=1)]:
-                good = self.solve_beside(bases[k], W, SEARCH.attempts, reached[k])[0]
-                share[k] = good.sum() / reached.shape[1]
+            reached, q = self.reach(some, W)
+            part = share[a : a + once] = reached.mean(axis=1)
+            if self.scene is not None:
+                look = part > (best[0] if len(best) == keep else 0.0)
+                part[look] = self.reach_beside(some[look], W, reached[look], q[look]).mean(axis=1)
+                share[a : a + once] = part
+                best = np.sort([*best, *part[look]])[-keep:]
         self.tried.append((bases, share))
         if self.progress is not None:
             self.progress(sum(len(one) for one, _ in self.tried))
         return share
+
+    def reach(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return which poses W are reached from bases (m, 4) without obstacles (m, N), and q (m, N, n)."""
+        found = [self.solve(tip, in_base(bases, T).reshape(-1, *T.shape[1:]), SEARCH.attempts) for tip, T in W.items()]
+        good, q = zip(*found, strict=True)
+        return (
+            np.concatenate([one.reshape(len(bases), -1) for one in good], axis=1),
+            np.concatenate([one.reshape(len(bases), -1, self.robot.n) for one in q], axis=1),
+        )
+
+    def reach_beside(
+        self, bases: np.ndarray, W: dict[str, np.ndarray], reached: np.ndarray, q: np.ndarray
+    ) -> np.ndarray:
+        """Return which poses are reached free of contact (m, N), of those `reached` (m, N) in contact or not, at q (m, N, n).
+
+        Where q is in contact, the pose is solved again from a few random starts.
+        """
+        free, tries, first = np.zeros_like(reached), SEARCH.attempts - 1, 0
+        base, pose = np.nonzero(reached)
+        free[base, pose] = self.untouched(bases[base], q[base, pose])
+        for tip, T in W.items():
+            base, pose = (np.repeat(x, tries) for x in np.nonzero((reached & ~free)[:, first : first + len(T)]))
+            if len(base):
+                starts = q[base, first + pose]
+                starts[:, self.moving] = self.robot.random_q(self.rng, len(starts))[:, self.moving]
+                good, found = self.solve(tip, in_base(bases, T)[base, pose], 1, q0=starts)
+                base, pose = base[good], first + pose[good]
+                free[base, pose] |= self.untouched(bases[base], found[good])
+            first += len(T)
+        return free
+
+    def untouched(self, bases: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Return which configurations q (k, n) of the robot at bases (k, 4), equal ones in a row, are free of contact (k,)."""
+        free, at = np.zeros(len(q), bool), None
+        for k, base in enumerate(bases):
+            if at is None or (base != at).any():
+                self.stand(at := base)
+            free[k] = not self.scene.collides(q[k])  # pyright: ignore[reportOptionalMemberAccess]
+        return free
 
     def solve(self, tip: str, T: np.ndarray, attempts: int, **more: Any) -> tuple[np.ndarray, np.ndarray]:
         """Solve for targets (m, ...) of a tip in the base frame; return which are reached (m,), and q (m, n)."""
@@ -160,23 +209,13 @@ class Candidates:
         parts = list(solve_parts(self.robot, self.robot.for_tips({tip: T}), **asked))
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
-    def solve_beside(
-        self, base: np.ndarray, W: dict[str, np.ndarray], attempts: int, rows: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for poses W, or those of them where `rows` (N,) is true, from one base, with the obstacles of the scene if any."""
+    def solve_beside(self, base: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for all poses from one base (4,), with the obstacles of the scene if any; return as `solve` does."""
         more: dict[str, Any] = {"check": 1.0}
         if self.scene is not None:
             self.stand(base)
             more = {"avoid_collisions": self.scene}
-        each = np.split(
-            np.ones(sum(map(len, W.values())), bool) if rows is None else rows,
-            np.cumsum([len(T) for T in W.values()])[:-1],
-        )
-        found = [
-            self.solve(tip, in_base(base[None], T[some])[0], attempts, **more)
-            for (tip, T), some in zip(W.items(), each, strict=True)
-            if some.any()
-        ]
+        found = [self.solve(tip, in_base(base[None], T)[0], attempts, **more) for tip, T in self.W.items()]
         return np.concatenate([good for good, _ in found]), np.concatenate([q for _, q in found])
 
     def stand(self, base: np.ndarray) -> None:

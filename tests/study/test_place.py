@@ -24,7 +24,6 @@ def quick(monkeypatch):
         "keep": 4,
         "around": 8,
         "rounds": 2,
-        "near": 10,
         "voted": 100,
     }
     monkeypatch.setattr(place_search, "SEARCH", place_search.SEARCH._replace(**less))
