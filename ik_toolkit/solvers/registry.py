@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..errors import IKError, InvalidOption, UnknownSolver, near_match
+from ..errors import IKError, InvalidOption, UnknownSolver, near_match, nearest
 
 
 class Length(NamedTuple):
@@ -312,9 +312,10 @@ def _own(cls: type) -> Row:
 
 
 def solvers_with(parameter: str) -> str:
-    """Return a sentence that names our solvers with this parameter, to end a message with, or ''."""
-    owners = [row.name for row in ROWS if parameter in row.load()._fields]
-    return f" Solvers with '{parameter}': {', '.join(owners)}." if owners else ""
+    """Return a sentence that names our solvers with this parameter, or with one of nearly its name; '' if there are none."""
+    meant = nearest(parameter, sorted({field for row in ROWS for field in row.load()._fields}))
+    owners = [row.name for row in ROWS if meant in row.load()._fields]
+    return f" Solvers with '{meant}': {', '.join(owners)}." if owners else ""
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
@@ -324,7 +325,8 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
     for key, value in parameters.items():
         if key not in fields:
             hint = near_match(key, fields) if fields else " It has no parameters."
-            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}{solvers_with(key)}")
+            hint += "" if nearest(key, fields) else solvers_with(key)
+            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}")
         if isinstance(value, str) and not isinstance(cls._field_defaults.get(key), str):
             wanted = "true or false" if isinstance(cls._field_defaults.get(key), bool) else "a number or an array"
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' takes {wanted}, not '{value}'")
