@@ -25,15 +25,16 @@ from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
 class LevelSteps(NamedTuple):
     """Numeric constants of the steps, measured on eight arms; errors are in rad and in lengths over the arm's reach."""
 
-    # optimality test: norm of the gradient in the null space, and ten times the largest multiplier of the wrong sign
+    # optimality test: norm of the gradient in the null space as a share of the error, and ten times the largest multiplier of the
+    # wrong sign
     first_order: float = 1e-6
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
     pivot: float = 1e-4
-    flat: float = 1e-3  # smallest curvature that a level acts on; flatter directions are left to the next level
-    # the same for a position out of reach, where a joint may still change the error by micrometres
-    flat_reach: float = 1e-6
+    # smallest curvature that a level acts on, where a joint may still change the error by micrometres; flatter directions are left
+    # to the next level
+    flat: float = 1e-6
     longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
     same: float = 0.02  # minima are the same if their errors differ by less than this share
@@ -49,7 +50,7 @@ class LevelSteps(NamedTuple):
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which level 0 is taken to be out of reach
     # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
-    decay: float = 0.64
+    decay: float = 0.5
 
 
 QUADRATIC = LevelSteps()
@@ -100,6 +101,21 @@ def slope_of_level(p, c, level, out):
             for i in range(s.q.shape[0]):
                 for k in range(3 * g, 3 * g + 3):
                     out[i] -= factor * s.J[i, k] * s.y[k]
+
+
+@inner
+def size_of_level(p, e, c, level):
+    """Return the squared error of level c, or its tolerance where that is larger.
+
+    The gradient is compared with it: near a pose that is almost reached, along a direction that hardly turns the tip, the gradient
+    alone is small long before the error is.
+    """
+    value, allowed = 0.0, 0.0
+    for g in range(level.shape[0]):
+        if level[g] == c:
+            value += p.group(e, g)
+            allowed += p.allowed(g)
+    return max(value, allowed)
 
 
 @inner
@@ -162,20 +178,18 @@ def onto_constraint(s, level, k, value, bench):
 
 
 @inner
-def down_level(s, k, flattest, last, bench, box):
+def down_level(s, k, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
-    Directions whose curvature is below `flattest` are left to the next level: the basis (n, k) is replaced by them, unless this is
-    the last level. The step is shortened to end inside the limits (box); the part of the step that reaches level 0 is not.
+    Directions whose curvature is below QUADRATIC.flat are left to the next level: the basis (n, k) is replaced by them, unless this
+    is the last level. The step is shortened to end inside the limits (box); the part of the step that reaches level 0 is not.
 
     Returns:
-        The number of columns of the new basis, and the squared norm of the gradient in the old basis, divided by that of the whole
-        gradient if that is above 1.
+        The number of columns of the new basis, and the squared norm of the gradient in the old basis.
     """
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
-    b, dz, slope, steep, whole = bench.rhs, bench.dz, bench.row, 0.0, 1.0
+    b, dz, slope, steep = bench.rhs, bench.dz, bench.row, 0.0
     for i in range(n):
-        whole = max(whole, bench.gradient[i] * bench.gradient[i])
         slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient after the step so far
     for x in range(k):
         for i in range(n):
@@ -190,9 +204,9 @@ def down_level(s, k, flattest, last, bench, box):
     left, size = 0, 0.0
     for z in range(k):
         along = dot(V[z], b, k)
-        flat = abs(W[z, z]) < flattest
+        flat = abs(W[z, z]) < QUADRATIC.flat
         passed = flat and not last and abs(along) <= QUADRATIC.first_order
-        along = 0.0 if passed else along / max(abs(W[z, z]), flattest)
+        along = 0.0 if passed else along / max(abs(W[z, z]), QUADRATIC.flat)
         size += along * along
         for i in range(n):
             direction = dot(Z[i], V[z], k)
@@ -213,7 +227,7 @@ def down_level(s, k, flattest, last, bench, box):
                 share = max((box.upper(i) - x) / d, 0.0)
     for i in range(n):
         s.dq[i] += share * dz[i]
-    return left, steep / whole
+    return left, steep
 
 
 @inner
@@ -247,7 +261,7 @@ def inverse_multipliers(s, level, k, bench):
     V, W, free, mu, out = bench.turned, bench.reduced, bench.free, bench.row, bench.multiplier
     clear(mu)
     for z in range(k):
-        if abs(W[z, z]) >= QUADRATIC.flat_reach:
+        if abs(W[z, z]) >= QUADRATIC.flat:
             along = 0.0
             for x in range(k):
                 along += V[z, x] * bench.gradient[int(free[x])]
@@ -310,8 +324,8 @@ def step_by_levels(p, e, level, far):
             if k == 0:
                 break
             hessian_of_level(p, c, level, bench)
-            k, one = down_level(s, k, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), bench, box)
-            steep += one
+            k, one = down_level(s, k, c == int(top), bench, box)
+            steep += one / size_of_level(p, e, c, level)
             if c == 0:
                 slope_of_level(p, 1, level, bench.gradient)
                 inverse_multipliers(s, level, count, bench)

@@ -3,11 +3,14 @@
 python scripts/benchmarks/priority.py                     all arms, position first
 python scripts/benchmarks/priority.py so101 --first orientation
 python scripts/benchmarks/priority.py so101 --beyond      targets out of reach
+python scripts/benchmarks/priority.py panda --reach       poses in reach: lost, and time beside the plain solve
+python scripts/benchmarks/priority.py so101 --batch --targets 50000
 
 A target is the pose of a random configuration with its orientation turned by --turn about a random axis (0: as it is). It is hit
 if the first level is in tolerance and the second within 1 % of the least of --starts single attempts from random starts and of
-the answer itself. `first order` is the largest norm of the second level's gradient in the null space of the first, with joints
-at a limit held only if that gradient pushes them outwards; it is computed by finite differences of Pinocchio's poses.
+the answer itself; targets whose first level none of them meets are left out. `x lm` compares with the solver lm at poses in reach
+of the same arm, in turns. `first order` is the largest norm of the second level's gradient in the null space of the first, with
+joints at a limit held only if that gradient pushes them outwards; it is computed by finite differences of Pinocchio's poses.
 """
 
 import argparse
@@ -21,12 +24,24 @@ import pinocchio as pin
 import ik_toolkit as ik
 
 UR5_NARROW = [(-1.6, 1.6), (-2.2, 0.2), (-2.0, 2.0), (-1.5, 1.5), (-1.0, 1.0), (-1.5, 1.5)]
-ARMS = ("so101", "so100", "palletizer", "scara", "ur5_narrow", "hydrolek_7w", "panda")
+ARMS = ("so101", "so100", "hobby4", "palletizer", "scara", "ur5_narrow", "hydrolek_7w", "panda")
+HOBBY = (("0 0 1", "0 0 0.077", -3.1, 3.1), ("0 1 0", "0 0 0", -1.9, 1.5), ("0 1 0", "0.024 0 0.128", -1.9, 1.5),
+         ("0 1 0", "0.124 0 0", -1.7, 2.0))  # fmt: skip
+ORDER = 1e-6  # largest norm of the gradient at a minimum
 HIT = 0.01  # share by which the second level may exceed the least found, beside 1e-4 rad or reaches
 
 
 def load(name: str) -> ik.Robot:
-    """An arm of the benchmark."""
+    """An arm of the benchmark; hobby4 yaws and has three pitches."""
+    if name == "hobby4":
+        joints = "".join(
+            f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/><origin xyz='{xyz}'/>"
+            f"<axis xyz='{axis}'/><limit lower='{low}' upper='{high}' effort='1' velocity='1'/></joint>"
+            for i, (axis, xyz, low, high) in enumerate(HOBBY)
+        )
+        links = "".join(f"<link name='{link}'/>" for link in ("l0", "l1", "l2", "l3", "l4", "tip"))
+        end = "<joint name='end' type='fixed'><parent link='l4'/><child link='tip'/><origin xyz='0.126 0 0'/></joint>"
+        return ik.Robot.load(f"<robot name='hobby4'>{links}{joints}{end}</robot>", tip="tip")
     if name != "ur5_narrow":
         return ik.Robot.load(name)
     ur5 = ik.Robot.load("ur5")
@@ -78,43 +93,92 @@ def first_order(robot: ik.Robot, q: np.ndarray, T: np.ndarray, first: str) -> fl
     return float(np.linalg.norm(z[~held]))
 
 
-def measure(name: str, o: argparse.Namespace) -> dict[str, Any]:
-    """One arm."""
+def timed(solvers: list[ik.Solver], pairs: list[list[np.ndarray]]) -> tuple[list[list[ik.Result]], np.ndarray]:
+    """Results and times [us] of solvers that take turns, each at the targets of its own."""
+    found, times = [[] for _ in solvers], np.zeros((len(solvers), len(pairs[0])))
+    for k, targets_now in enumerate(zip(*pairs, strict=True)):
+        for i, (solver, T) in enumerate(zip(solvers, targets_now, strict=True)):
+            began = time.perf_counter()
+            found[i].append(solver(T))
+            times[i, k] = 1e6 * (time.perf_counter() - began)
+    return found, times
+
+
+def best_of_starts(robot: ik.Robot, T: np.ndarray, o: argparse.Namespace, rng: np.random.Generator) -> np.ndarray:
+    """Errors of both levels (S, 2) at the ends of single attempts from random starts, in reach those that met the first level."""
+    tried = ik.solve_batch(
+        robot, np.repeat(T[None], o.starts, 0), priority=o.first, restarts=0, check=0.0, threads=1,
+        q0=np.array([robot.random_q(rng) for _ in range(o.starts)]),
+    )  # fmt: skip
+    both = [tried.position_error, tried.orientation_error]
+    both = both if o.first == "position" else [both[1], both[0] / robot.reach]
+    return np.stack(both, axis=1)[slice(None) if o.beyond else tried.success]
+
+
+def measure(name: str, o: argparse.Namespace) -> str:
+    """One arm: shares and costs."""
     robot, rng = load(name), np.random.default_rng(o.seed)
-    T = targets(robot, o.targets, o.turn, o.beyond, rng)
-    solver = ik.Solver(robot, priority=o.first)
-    solver(T[0])
-    times, found, evaluations = [], [], []
-    for one in T:
-        began = time.perf_counter()
-        found.append(solver(one))
-        times.append(time.perf_counter() - began)
-        evaluations.append(found[-1].fk_evaluations)
-    hits, reached, order = 0, 0, []
-    for one, result in zip(T, found, strict=True):
-        mine = levels(robot, result.q, one, o.first)
-        tried = ik.solve_batch(
-            robot, np.repeat(one[None], o.starts, 0), priority=o.first, restarts=0, check=0.0,
-            q0=np.array([robot.random_q(rng) for _ in range(o.starts)]),
-        )  # fmt: skip
-        both = [
-            mine,
-            *(levels(robot, q, one, o.first) for q in tried.q[tried.success if not o.beyond else slice(None)]),
-        ]
-        least = min(pair[0] for pair in both) if o.beyond else 2e-6
-        best = min((pair[1] for pair in both if pair[0] <= least + 1e-5 * o.beyond), default=np.inf)
-        good = mine[0] <= least + 1e-5 * o.beyond and mine[1] <= (1 + HIT) * best + 1e-4
-        reached += result.success
-        hits += good
+    T, near = (targets(robot, o.targets, turn, beyond, rng) for turn, beyond in ((o.turn, o.beyond), (0.0, False)))
+    solver, plain = ik.Solver(robot, priority=o.first), ik.Solver(robot, "lm")
+    timed([solver, plain], [T[:2], near[:2]])
+    (found, _), times = timed([solver, plain], [T, near])
+    hits, order, mine = [], [], [levels(robot, result.q, one, o.first) for one, result in zip(T, found, strict=True)]
+    for one, result, (first, second) in zip(T, found, mine, strict=True):
+        others = np.vstack([[first, second], best_of_starts(robot, one, o, rng)])
+        least = others[:, 0].min() + 1e-5 if o.beyond else 2e-6
+        best = others[others[:, 0] <= least, 1].min(initial=np.inf)
+        if best < np.inf:  # Else no start reaches the first level, and there is nothing to compare.
+            hits.append(first <= least and second <= (1 + HIT) * best + 1e-4)
         if result.success:
             order.append(first_order(robot, result.q, one, o.first))
-    micro = 1e6 * np.array(times)
-    return {
-        "arm": name, "hit": hits / len(T), "converged": reached / len(T),
-        "first_order": max(order, default=0.0), "false": int(np.sum(np.array(order) > 1e-5)),
-        "evaluations": (float(np.median(evaluations)), float(np.percentile(evaluations, 95))),
-        "us": (float(np.median(micro)), float(np.percentile(micro, 95))),
-    }  # fmt: skip
+    evaluations, rate = [result.fk_evaluations for result in found], common.rate(sum(hits), len(hits))
+    return (
+        f"hit {common.percent(rate)} % of {len(hits)}  converged {np.mean([result.success for result in found]):.3f}"
+        f"  first level {max(first for first, _ in mine):.1e}"
+        f"  first order {max(order, default=0.0):.1e} ({np.sum(np.array(order) > ORDER)} of {len(order)} above {ORDER:g})"
+        f"  evaluations {spread(evaluations, '.0f')}"
+        f"  us {spread(times[0], '.0f')}, {np.median(times[0]) / np.median(times[1]):.1f} x lm"
+    )
+
+
+def measure_reach(name: str, o: argparse.Namespace) -> str:
+    """One arm at poses it can reach: how many answers are not at the pose, and the cost beside the plain solve."""
+    robot = load(name)
+    T = targets(robot, o.targets, 0.0, False, np.random.default_rng(o.seed))
+    solvers = [ik.Solver(robot, priority=o.first), ik.Solver(robot, "lm")]
+    timed(solvers, [T[:2]] * 2)
+    found, times = timed(solvers, [T] * 2)
+    lost = [sum(max(robot.errors(r.q, one)) > 2e-6 for r, one in zip(each, T, strict=True)) for each in found]
+    us = np.median(times, axis=1)
+    evaluations = spread([result.fk_evaluations for result in found[0]], ".0f")
+    return (
+        f"lost {lost[0]} of {len(T)} (lm {lost[1]})  {us[0] / us[1]:.2f} x lm (mean {times[0].mean() / times[1].mean():.2f})"
+        f"  evaluations {evaluations}"
+    )
+
+
+def measure_batch(name: str, o: argparse.Namespace) -> str:
+    """One arm: targets a second of a batch on all cores, and processor time a target, beside those of the plain solve."""
+    robot, rng = load(name), np.random.default_rng(o.seed)
+    T, near = targets(robot, o.targets, o.turn, o.beyond, rng), targets(robot, o.targets, 0.0, False, rng)
+    calls = [lambda: ik.solve_batch(robot, T, priority=o.first), lambda: ik.solve_batch(robot, near, "lm")]
+    rows = np.zeros((2, 2, 7))
+    for k in range(rows.shape[2]):
+        for i, call in enumerate(calls):
+            busy, began = time.process_time(), time.perf_counter()
+            call()
+            rows[i, :, k] = time.perf_counter() - began, time.process_time() - busy
+    rows = rows[:, :, 1:] / len(T)  # The first round compiles.
+    (mine, work), (_, plain) = np.median(rows, axis=2)
+    return (
+        f"{1 / mine:.0f} targets a second, {1 / rows[0, 0].max():.0f} to {1 / rows[0, 0].min():.0f}"
+        f"  processor {1e6 * work:.1f} us a target, {work / plain:.1f} x lm"
+    )
+
+
+def spread(values: Any, form: str) -> str:
+    """Median and 95th percentile."""
+    return f"{np.median(values):{form}}, p95 {np.percentile(values, 95):{form}}"
 
 
 def main() -> None:
@@ -124,19 +188,16 @@ def main() -> None:
     parser.add_argument("--first", default="position", choices=("position", "orientation"))
     parser.add_argument("--turn", type=float, default=0.3, help="rad")
     parser.add_argument("--beyond", action="store_true")
+    parser.add_argument("--reach", action="store_true", help="poses in reach, beside the plain solve")
+    parser.add_argument("--batch", action="store_true", help="throughput of solve_batch")
     parser.add_argument("--targets", type=int, default=200)
     parser.add_argument("--starts", type=int, default=400)
     parser.add_argument("--seed", type=int, default=7)
     o = parser.parse_args()
     print(common.machine())
     for name in o.arms or ARMS:
-        row = measure(name, o)
-        print(
-            f"{name:12} hit {row['hit']:.3f}  converged {row['converged']:.3f}  first order {row['first_order']:.1e}"
-            f" ({row['false']} above 1e-5)  evaluations {row['evaluations'][0]:.0f}, p95 {row['evaluations'][1]:.0f}"
-            f"  {row['us'][0]:.0f} us, p95 {row['us'][1]:.0f}",
-            flush=True,
-        )
+        kind = measure_reach if o.reach else measure_batch if o.batch else measure
+        print(f"{name:12} {kind(name, o)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -303,6 +303,23 @@ def test_poses_that_few_joints_reach_are_reached():
     assert ik.solve_batch(robot, T, priority="position").orientation_error.max() <= 1e-5
 
 
+def test_a_pose_in_reach_is_reached_or_another_minimum_is_found():
+    """Where the motion left hardly turns the tip, the gradient is small before the error is: 13 of these stopped 0.1 mrad off."""
+    yaw, pitch = np.eye(3)[2], np.eye(3)[1]
+    joints = [
+        ("revolute", (0, 0, 0.077), (0, 0, 0), yaw, -3.1, 3.1), ("revolute", (0, 0, 0), (0, 0, 0), pitch, -1.9, 1.5),
+        ("revolute", (0.024, 0, 0.128), (0, 0, 0), pitch, -1.9, 1.5), ("revolute", (0.124, 0, 0), (0, 0, 0), pitch, -1.7, 2.0),
+    ]  # fmt: skip
+    robot, rng = (
+        ik.Robot.load(serial_arms.urdf(joints, ((0.126, 0, 0), (0, 0, 0))), tip="tip"),
+        np.random.default_rng(16),
+    )
+    T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(300)])
+    done = ik.solve_batch(robot, T, priority="position")
+    near = done.orientation_error < 1e-3
+    assert done.success.all() and near.mean() > 0.99 and done.orientation_error[near].max() <= 1e-6
+
+
 def test_a_tracker_keeps_the_position_and_calls_it_ok():
     robot = five_joints()
     tracker = ik.Tracker(robot, q0=robot.home, priority="position")
