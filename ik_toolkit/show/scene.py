@@ -34,7 +34,7 @@ class Scene(InCell, SceneState):
     """
 
     # -------------------------------------------------------------------------------------------------- what is shown
-    def update(self, what: Any = None, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
+    def update(self, what: Any, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
         """Show another configuration or result, as `view` does; robot, tips, target, caption and drawings of a result are replaced.
 
         A target or a cloud that is not given stays, and so do the camera and what was added by name. Invalid input raises, as in
@@ -381,7 +381,9 @@ def view(
     """
     scene = Scene(robot, title)
     cells = what if hasattr(what, "manipulability") and hasattr(what, "grid") else None
-    scene.update(None if cells is not None else what, target=target, cloud=cloud, obstacles=obstacles)
+    scene.update(
+        robot.home if what is None or cells is not None else what, target=target, cloud=cloud, obstacles=obstacles
+    )
     if cells is not None:
         from .reach_pictures import draw_cells  # imported when needed: it loads the solvers' studies
 
