@@ -142,12 +142,15 @@ def each_target(robot: Joints, target: Any) -> dict[str, Any]:
 
 
 def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None]:
-    """Return the configurations (N, n) [rad or m] of anything that a scene shows (None: home), and its motion if it has one.
+    """Return the configurations (N, n) [rad or m] of anything that a scene shows, and its motion if it has one.
 
     Raises InvalidConfiguration for what does not fit the robot, InvalidOption if there is none.
     """
+    if what is None:
+        raise InvalidOption(
+            "there is nothing to show: give a configuration q (n,), several of them, or a result, not None"
+        )
     motion = motion_of(what)
-    what = robot.home if what is None else what
     many = isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what)
     rows = motion.q if motion is not None else getattr(what, "q", what)
     rows = rows if many or np.ndim(rows) == 2 else [rows]

@@ -5,6 +5,7 @@ be drawn are reported. Links between base and tip that have no drawable part are
 """
 
 import functools
+import importlib.util
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from ..robot.geometry.meshes import Mesh
 from ..robot.geometry.shape import Shape
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
+
+Triangles = tuple[np.ndarray, np.ndarray]  # vertices (N, 3) [m] and faces (M, 3)
 
 FARTHEST = 1e9  # [m] farthest coordinate drawn; pages compute in 32 bits and multiply lengths
 THINNEST = 1e-6  # [m] least radius of a stick
@@ -114,7 +117,8 @@ class Body:
         self.model = robot.model
         self.data = self.model.createData()
         self.arms: Any = robot.arms
-        need_trimesh()
+        if importlib.util.find_spec("trimesh") is None:  # Meshes are read by another process.
+            raise MissingExtra("trimesh", "view")
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
         if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
             raise ModelError(f"robot '{robot.name}' has links farther than {FARTHEST:g} m away: it cannot be drawn")
@@ -179,15 +183,6 @@ class Body:
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
 
-def need_trimesh() -> Any:
-    """Return the module trimesh, or raise MissingExtra."""
-    try:
-        import trimesh
-    except ImportError:
-        raise MissingExtra("trimesh", "view") from None
-    return trimesh
-
-
 def _read(robot: Any) -> tuple[list[BodyPart], str]:
     """Return what can be drawn, and a sentence about what cannot."""
     if robot.visual_model is None and robot.urdf is None:
@@ -219,63 +214,10 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
     return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)
 
 
-def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
-    """Return the triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
-    if shape.kind != "mesh":
-        return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
-    form = shape.form()
-    faces = [[form.tri_indices(k)[i] for i in range(3)] for k in range(form.num_tris)]
-    return DrawnShape(*split_sharp_edges(need_trimesh().Trimesh(form.vertices(), faces)), color, opacity)
-
-
-def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
-    creation = need_trimesh().creation
-    scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
-    if kind == "box":
-        mesh = creation.box(extents=(1.0, 1.0, 1.0))
-    elif kind == "sphere":
-        mesh = creation.uv_sphere(radius=1.0, count=(24, 24))
-    elif kind == "cylinder":
-        mesh = creation.cylinder(radius=1.0, height=1.0, sections=48)
-        scale[2] = sizes[1]
-    else:
-        mesh = creation.capsule(height=sizes[1] / sizes[0], radius=1.0, count=(24, 24))
-        mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return split_sharp_edges(mesh, scale)
-
-
 @functools.lru_cache(256)
 def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
     """Return vertices, faces and colour of every material of a mesh, in the file's axes."""
-    make = need_trimesh().Trimesh
-    return tuple(
-        (*split_sharp_edges(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces
-    )
-
-
-def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Scale vertices and split them along sharp edges, so that a viewer's averaged normals keep those edges visible.
-
-    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and
-    scale them here, because trimesh drops triangles with sides under 0.1 mm.
-    """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    faces, count = mesh.faces, 3 * len(mesh.faces)
-    flat = mesh.face_adjacency_angles < SMOOTH
-    pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
-    joined = []
-    for end in (0, 1):
-        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of each face it is
-        joined.append(3 * pairs + corners.argmax(axis=2))
-    links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)
-    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    total, label = connected_components(graph, directed=False)
-    vertices = np.empty((total, 3), dtype=np.float32)
-    vertices[label] = (mesh.vertices * scale)[faces.ravel()]
-    return vertices, label.reshape(-1, 3).astype(np.uint32)
+    return tuple((*split_sharp_edges(piece.vertices, piece.faces), piece.color) for piece in mesh.pieces)
 
 
 def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
@@ -284,9 +226,9 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
     The links on either side get a bar, too, so that the drawing is connected.
     Where other parts of the robot have shapes, the coordinates of a moving base get no sticks.
     """
-    make, model, data = need_trimesh().creation, robot.model, robot.model.createData()
+    model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, robot.rest)
-    unit = split_sharp_edges(make.cylinder(1.0, segment=((0, 0, 0), (0, 0, 1)), sections=24))
+    unit = revolved([(0, 0), (1, 0), (1, 1), (0, 1)], 24)
     bar, rod, world = DrawnShape(*unit, STEEL), DrawnShape(*unit, GREY), pin.SE3.Identity()
     parts: dict[Any, BodyPart] = {}
     arms: Any = robot.arms
@@ -296,7 +238,7 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
         r = max(min(0.018 * arm.reach, 0.12 * float(np.mean(links or [arm.reach]))), THINNEST)
         based = {0, *(model.getJointId(name) for name in arm._of_base)} if clothed and arm._of_base else set()
         bare = {*range(model.njoints)} - clothed - based
-        sphere = split_sharp_edges(make.uv_sphere(radius=1.0, count=(16, 16)), 1.7 * r)
+        sphere = primitive("sphere", (1.7 * r,))
         ball, knob = DrawnShape(*sphere, JOINT), DrawnShape(sphere[0] / 1.5, sphere[1], STEEL)
         for joint in arm._path.joints:
             if joint in bare and joint in arm._path.owner:
@@ -319,6 +261,98 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
     return [*parts.values()]
 
 
+def grid_cell(radius: float) -> float:
+    """Return the cell width [m] of a grid with about four cells in `radius` [m]: 1, 2 or 5 times a power of ten."""
+    unit = 10.0 ** np.floor(np.log10(radius / 4.0))
+    return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
+
+
+def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
+    """Return the triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
+    if shape.kind != "mesh":
+        return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
+    form = shape.form()
+    faces = [[form.tri_indices(k)[i] for i in range(3)] for k in range(form.num_tris)]
+    return DrawnShape(*split_sharp_edges(form.vertices(), np.array(faces)), color, opacity)
+
+
+def primitive(kind: str, sizes: Sequence[float]) -> Triangles:
+    """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    if kind == "box":
+        corners = np.array([*itertools.product((-0.5, 0.5), repeat=3)]) * sizes
+        # Each side has its corners in order; 1, 2 and 4 are added to a corner's number along z, y and x.
+        sides = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+        return split_sharp_edges(corners, np.vstack([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]]))
+    radius, half = sizes[0], 0.5 * sizes[1] if len(sizes) > 1 else 0.0
+    if kind == "cylinder":
+        return revolved([(0.0, -half), (radius, -half), (radius, half), (0.0, half)], 48)
+    angle = np.linspace(0.0, 0.5 * np.pi, 7)
+    upper = np.column_stack([radius * np.cos(angle), half + radius * np.sin(angle)])
+    upper[-1, 0] = 0.0
+    lower = upper[::-1] * (1.0, -1.0)
+    return revolved(np.vstack([lower[: -1 if half == 0.0 else None], upper]), 24)
+
+
+def revolved(profile: Any, sections: int) -> Triangles:
+    """Return vertices and faces of a surface of revolution about z.
+
+    profile: points (K, 2) [m] of radius and height, with the inside on their left; a closed line or one that ends on the axis.
+    """
+    line, angle = np.asarray(profile, dtype=float), 2.0 * np.pi * np.arange(sections) / sections
+    r, z = np.repeat(line[:, :, None], sections, axis=2).transpose(1, 0, 2)
+    vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices)).reshape(len(line), sections)
+    number[line[:, 0] == 0.0] = number[line[:, 0] == 0.0, :1]  # on the axis a ring is one vertex
+    after = np.roll(number, -1, axis=1)
+    faces = np.stack([number[:-1], after[:-1], after[1:], number[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 3)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return split_sharp_edges(vertices, faces[whole])
+
+
+def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """Split vertices along sharp edges, so that a viewer's averaged normals keep those edges visible.
+
+    Vertices at the same place are first made one. Corners of two faces stay one vertex if the faces meet there at a flat enough
+    edge, which belongs to no third face.
+    """
+    vertices = np.asarray(vertices, dtype=float)
+    order, number = np.lexsort(vertices.T), np.empty(len(vertices), dtype=int)
+    new = (np.diff(vertices[order], axis=0) != 0.0).any(axis=1)
+    number[order] = np.concatenate([[0], np.cumsum(new)])[: len(order)]
+    corner = number[np.ravel(faces)]  # the vertex at each corner of each face
+    a, b, c = vertices[np.ravel(faces)].reshape(-1, 3, 3).transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+
+    here = np.arange(len(corner))
+    there = here - here % 3 + (here + 1) % 3  # An edge of a face goes from corner `here` to `there`.
+    low, high = np.minimum(corner, corner[there]), np.maximum(corner, corner[there])
+    edge = low * len(vertices) + high
+    order = np.argsort(edge, kind="stable")
+    first = np.flatnonzero(np.diff(edge[order], prepend=-1))
+    first = first[np.diff(first, append=len(order)) == 2]
+    one, other = order[first], order[first + 1]
+    flat = np.einsum("ij,ij->i", normal[one // 3], normal[other // 3]) > np.cos(SMOOTH)
+    one, other = one[flat], other[flat]
+    along = corner[one] == corner[other]
+    left = np.concatenate([one, there[one]])
+    right = np.concatenate([np.where(along, other, there[other]), np.where(along, there[other], other)])
+    label, before = here, None
+    while before is None or (label != before).any():  # Corners that are one vertex take the lowest of their numbers.
+        before, label = label, label.copy()
+        np.minimum.at(label, left, before[right])
+        np.minimum.at(label, right, before[left])
+        label = label[label]
+    lowest = label == here
+    points = vertices[np.ravel(faces)][lowest].astype(np.float32)
+    return points, (np.cumsum(lowest) - 1)[label].reshape(-1, 3).astype(np.uint32)
+
+
+def mapped(shape: Triangles, T: np.ndarray) -> Triangles:
+    """Return triangles at a pose or under another affine map (4, 4)."""
+    return (shape[0] @ T[:3, :3].T + T[:3, 3]).astype(np.float32), shape[1]
+
+
 def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
     """Return the matrix (4, 4) that stretches a shape of unit length and radius from one point (3,) [m] to another."""
     way = end - start
@@ -331,19 +365,13 @@ def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
     return T
 
 
-def grid_cell(radius: float) -> float:
-    """Return the cell width [m] of a grid with about four cells in `radius` [m]: 1, 2 or 5 times a power of ten."""
-    unit = 10.0 ** np.floor(np.log10(radius / 4.0))
-    return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
-
-
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
     """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
-        ball = need_trimesh().creation.uv_sphere(radius=1.5, count=(10, 10))
-        return DrawnShape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
+        vertices, faces = primitive("sphere", (1.5 * radius,))
+        return DrawnShape((vertices + P[0]).astype(np.float32), faces, color, opacity)
     along = np.gradient(P, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)

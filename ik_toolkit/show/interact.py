@@ -77,8 +77,10 @@ def interact(
     """
     require_robot(robot)
     asked = list(solver) if isinstance(solver, list | tuple) else [solver]
-    if not 0 < len(asked) <= len(GHOSTS):
-        raise InvalidOption(f"interact takes one solver, or a list of up to {len(GHOSTS)}")
+    if not 0 < len(asked) <= len(GHOSTS) or None in asked:
+        raise InvalidOption(
+            f"interact takes a solver (name, class or instance), or a list of up to {len(GHOSTS)}, not {solver!r:.60}"
+        )
     q = robot.home if q0 is None else robot.check_q(q0)
     solvers: dict[str, Solver] = {}
     for one in asked:

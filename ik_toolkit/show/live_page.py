@@ -21,7 +21,7 @@ import pinocchio as pin
 from ..robot.joints import Joints
 from ..robot.probe import screw
 from ..text import plain
-from .body import THINNEST, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges
+from .body import THINNEST, Body, DrawnShape, grid_cell, primitive, revolved
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3) and faces (M, 3)
 
@@ -137,17 +137,16 @@ def pose_rows(T: pin.SE3) -> list[float]:
 
 def handles() -> dict[str, DrawnShape]:
     """Return the shapes for targets and the floor, of unit height and radius, upright at the origin."""
-    make = need_trimesh().creation
-    bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
+    angle = np.linspace(0.0, 2.0 * np.pi, 11)
     meshes = {
-        "ball": make.icosphere(subdivisions=3),
-        "bar": bar,
-        "cone": make.cone(1.0, 1.0, sections=32),
-        "ring": make.torus(1.0, 0.018, major_sections=64, minor_sections=10),
+        "ball": primitive("sphere", (1.0,)),
+        "bar": revolved([(0, 0), (1, 0), (1, 1), (0, 1)], 24),
+        "cone": revolved([(0, 0), (1, 0), (0, 1)], 32),
+        "ring": revolved(np.column_stack([1.0 + 0.018 * np.cos(angle), 0.018 * np.sin(angle)]), 64),
     }
     floor = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float32)
     white = (1.0, 1.0, 1.0)
-    shapes = {name: DrawnShape(*split_sharp_edges(mesh), white) for name, mesh in meshes.items()}
+    shapes = {name: DrawnShape(*mesh, white) for name, mesh in meshes.items()}
     return shapes | {"floor": DrawnShape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
 
 

@@ -1,8 +1,9 @@
-"""A still picture of a scene without a browser: triangles are rendered in numpy, text and charts are drawn by matplotlib.
+"""A still picture of a scene without a browser: triangles are rendered in numpy, lines and text are drawn by Pillow.
 
 A notebook shows it where the scene's script cannot run: before the notebook is opened, in a preview, or if it is not trusted.
 """
 
+import importlib.util
 import io
 import shutil
 import subprocess
@@ -19,55 +20,88 @@ from .body import DrawnShape
 from .feed import ROOT
 from .live_page import normals
 from .meshcat_server import SHADE, Window
-from .plots import drawing, literal_text
+from .scene_state import css
 
 
 class _Layer(NamedTuple):
-    """A rendered image: for each pixel the inverse depth (H, W) [1/m], 0 where nothing is drawn, and the colour (H, W, 3)."""
+    """A rendered image: for each pixel the inverse depth (H * W,) [1/m], 0 where nothing is drawn, and the colour (H * W, 3)."""
 
     near: np.ndarray
     color: np.ndarray
 
 
+class _Pencil:
+    """Draws on an image; sizes of text are in points, all other lengths in its pixels."""
+
+    sharp = 2  # The image is so many times larger than the picture made of it, for smooth edges.
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        """Make an image (W, H). Raises MissingExtra without matplotlib, whose font is used, and with which Pillow comes."""
+        found = importlib.util.find_spec("matplotlib")
+        if found is None or found.origin is None:
+            raise MissingExtra("matplotlib", "plots")
+        from PIL import Image, ImageDraw, ImageFont
+
+        self.fonts, self.load = Path(found.origin).parent / "mpl-data" / "fonts" / "ttf", ImageFont.truetype
+        self.image = Image.new("RGB", size, (243, 245, 248))
+        self.draw = ImageDraw.Draw(self.image)
+
+    def blend(self, color: np.ndarray, cover: np.ndarray) -> None:
+        """Draw pixels (H * W, 3) in 0..1, already multiplied by their opacity `cover` (H * W,), over what is there."""
+        data = np.array(self.image).reshape(-1, 3)
+        at = np.flatnonzero(cover)
+        data[at] = np.round(255 * color[at] + (1.0 - cover[at, None]) * data[at])
+        self.image.frombytes(data.tobytes())
+
+    def ball(self, x: float, y: float, radius: float, fill: str) -> None:
+        """Draw a disc."""
+        radius = min(max(radius - 0.5, 0.5), self.image.width)  # Pillow adds the pixel in the middle.
+        self.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill)
+
+    def text(
+        self, x: float, y: float, text: str, points: float, fill: str = "black", at: str = "lm", bold: bool = False
+    ) -> float:
+        """Write text and return its width; `at` says which of its points (Pillow's anchors) is at x, y."""
+        font = self.load(str(self.fonts / f"DejaVuSans{'-Bold' if bold else ''}.ttf"), points / 0.72 * self.sharp)
+        self.draw.text((x, y), text, fill, font, at)
+        return font.getlength(text.replace("\n", " "))
+
+
 def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
     """Draw a Window (whose camera is set) as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
-    import PIL.Image  # comes with matplotlib
+    sharp = _Pencil.sharp
+    W, H = sharp * size[0], sharp * size[1]
+    pencil, curves = _Pencil((W, H)), window.about.get("curves")
+    camera = _Camera(window.about["camera"], W * (0.7 if curves else 1.0), H)  # The chart is beside the scene.
+    for line in _grid(window.about["camera"]):
+        seen = camera.project(line)
+        if (seen[:, 2] > 0).all() and (np.abs(seen) < 100 * W).all():
+            pencil.draw.line([*seen[:, :2].ravel()], "#b9c2cc", sharp)
+    pencil.blend(*_filled(window, camera, W, H))
 
-    with drawing() as plt:
-        width, height = size
-        sky = (0.953, 0.961, 0.973)
-        figure = plt.figure(figsize=(width / 100, height / 100), dpi=100, facecolor=sky)
-        axes = figure.add_axes((0, 0, 1, 1))
-        axes.set(xlim=(0, width), ylim=(height, 0))
-        axes.axis("off")
-        beside = 0.3 * width if window.about.get("curves") else 0.0  # taken by the chart
-        camera = _Camera(window.about["camera"], width - beside, height)
-        for line in _grid(window.about["camera"]):
-            seen = camera.project(line)
-            if (seen[:, 2] > 0).all():
-                axes.plot(seen[:, 0], seen[:, 1], color="#b9c2cc", lw=0.6, zorder=0, clip_on=True)
-        axes.imshow(_filled(window, camera, width, height), extent=(0, width, height, 0), interpolation="antialiased")
-        for path, (points, colors, big) in clouds_of(window).items():
-            T = window.pose(path)
-            seen = camera.project(points @ T[:3, :3].T + T[:3, 3])
-            at = (seen[:, 2] > 0) & (seen[:, :2] > 0).all(axis=1) & (seen[:, :2] < size).all(axis=1)
-            axes.scatter(seen[at, 0], seen[at, 1], c=colors[at], s=(0.7 * big * camera.scale * seen[at, 2]) ** 2, lw=0)
-        for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
-            x, y, near = camera.project(window.pose(grip["name"])[None, :3, 3])[0]
-            if near > 0 and not grip["turns"]:
-                axes.plot(x, y, "o", color=grip["color"], ms=1.44 * grip["size"] * camera.scale * near)
-        for path, text, down in window.about["names"]:
-            x, y, near = camera.project(window.pose(path)[None, :3, 3])[0]
-            if near > 0:
-                axes.text(x + 8, y + down, text, fontsize=8, va="top", parse_math=False)
-        _words(figure, axes, window.about, height)
-        _chart(figure, window.about.get("curves"))
-        packed = io.BytesIO()
-        figure.savefig(packed, format="png", dpi=100, facecolor=sky)
-    whole = PIL.Image.open(packed).convert("RGB")
-    small = io.BytesIO()
-    whole.quantize(256, PIL.Image.Quantize.FASTOCTREE, dither=PIL.Image.Dither.NONE).save(small, "png", optimize=True)
-    return small.getvalue()
+    def inside(points: np.ndarray) -> Iterator[tuple[int, float, float, float]]:
+        seen = camera.project(points)
+        for k in np.flatnonzero((seen > 0).all(axis=1) & (seen[:, :2] < (W, H)).all(axis=1)):
+            yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # pixels per metre
+
+    for path, (points, colors, big) in clouds_of(window).items():
+        T, words = window.pose(path), [css(color) for color in colors]
+        for k, x, y, scale in inside(points @ T[:3, :3].T + T[:3, 3]):
+            pencil.ball(x, y, 0.5 * big * scale, words[k])
+    for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
+        for _, x, y, scale in () if grip["turns"] else inside(window.pose(grip["name"])[None, :3, 3]):
+            pencil.ball(x, y, grip["size"] * scale, css(grip["color"]))
+    for path, text, down in window.about["names"]:
+        for _, x, y, _ in inside(window.pose(path)[None, :3, 3]):
+            pencil.text(x + 8 * sharp, y + down * sharp, text, 8, at="la")
+    _words(pencil, window.about)
+    if curves:
+        _chart(pencil, curves)
+    from PIL import Image  # comes with matplotlib
+
+    whole, packed = pencil.image.reduce(sharp), io.BytesIO()
+    whole.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
+    return packed.getvalue()
 
 
 def shapes_of(window: Window) -> dict[str, DrawnShape]:
@@ -118,7 +152,7 @@ class _Camera:
     """The viewer's camera: `turned` is the rotation from world to camera axes, `project` maps points [m] to pixels."""
 
     def __init__(self, aim: Any, width: float, height: float) -> None:
-        """Aim the camera as `Window.about["camera"]` says."""
+        """Aim the camera as `Window.about["camera"]` says, for a picture of a size [pixels]."""
         eye, to = np.array(aim[0], dtype=float), np.array(aim[1], dtype=float)
         back = (eye - to) / max(float(np.linalg.norm(eye - to)), 1e-12)
         right = np.cross((0.0, 0.0, 1.0) if abs(back[2]) < 0.9999 else (0.0, 1.0, 0.0), back)
@@ -134,55 +168,53 @@ class _Camera:
         return np.stack([self.middle[0] + self.scale * x * near, self.middle[1] - self.scale * y * near, near], axis=1)
 
 
-def _filled(window: Window, camera: _Camera, width: int, height: int) -> np.ndarray:
-    """Render the triangles of a scene to pixels (H, W, 4); copies and other translucent objects are blended over the rest."""
+def _filled(window: Window, camera: _Camera, W: int, H: int) -> tuple[np.ndarray, np.ndarray]:
+    """Render the triangles of a scene: colours (H * W, 3) times opacity, and opacity (H * W,)."""
     groups: dict[str, list[tuple[DrawnShape, np.ndarray]]] = {"": []}
     for path, shape in shapes_of(window).items():
         group = "" if shape.opacity >= 1.0 else path.partition("/")[0]
         groups.setdefault(group, []).append((shape, window.pose(path)))
-    near, color = _layer(groups.pop(""), camera, width, height)
-    cover = (near > 0)[..., None].astype(float)
+    near, color = _layer(groups.pop(""), camera, W, H)
+    cover = (near > 0).astype(float)
     for group in groups.values():
-        layer = _layer(group, camera, width, height)
-        before = layer.near > 1.002 * near  # a tolerance, so that surfaces that coincide with a solid one are hidden
-        share = np.where(before, group[0][0].opacity, 0.0)[..., None]
-        color, cover = share * layer.color + (1.0 - share) * color, share + (1.0 - share) * cover
-    return np.dstack([color / np.maximum(cover, 1e-9), cover])
+        layer = _layer(group, camera, W, H)
+        at = np.flatnonzero(
+            layer.near > 1.002 * near
+        )  # a tolerance, so that surfaces that coincide with a solid one are hidden
+        share = group[0][0].opacity
+        color[at] = share * layer.color[at] + (1.0 - share) * color[at]
+        cover[at] = share + (1.0 - share) * cover[at]
+    return color, cover
 
 
-def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, width: int, height: int) -> _Layer:
+def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, W: int, H: int) -> _Layer:
     """Render the triangles of shapes at their poses (4, 4); for each pixel the nearest one is visible."""
-    sharp = 2  # supersampling in each direction, for smooth edges
     light_from = np.array((-0.35, 0.55, 0.76))  # in camera axes: right, up, towards the eye
-    W, H = sharp * width, sharp * height
     near, owner = np.zeros(H * W), np.full(H * W, -1)
     corners, tints = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
     for shape, T in shapes:
-        seen = camera.project(shape.vertices @ T[:3, :3].T + T[:3, 3]) * (sharp, sharp, 1.0)
         turn = camera.turned @ T[:3, :3]
         normal = normals(shape) @ turn.T
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         light = 0.52 + 0.48 * np.abs(0.5 + 0.5 * (normal @ light_from)) ** 1.5
-        corners.append(seen[shape.faces])
+        corners.append(camera.project(shape.vertices @ T[:3, :3].T + T[:3, 3])[shape.faces])
         tints.append((light[:, None] * np.array(shape.color))[shape.faces])
     P, tint = np.concatenate(corners), np.concatenate(tints)
-    keep = (P[:, :, 2] > 0).all(axis=1)
-    P, tint = P[keep], tint[keep]
     planes = _planes(P)
-    for faces, pixel in _candidates(P, W, H):
-        for k in range(3):  # all three barycentric coordinates must be positive; excluded pixels are not tested again
-            at = _plane(planes[k], faces, pixel, W) >= 0.0
-            faces, pixel = faces[at], pixel[at]
-        depth = _plane(planes[3], faces, pixel, W)
-        at = depth > near[pixel]
-        faces, pixel, depth = faces[at], pixel[at], depth[at]
-        order = np.argsort(depth, kind="stable")  # The nearest candidate of a pixel is written last.
-        near[pixel[order]], owner[pixel[order]] = depth[order], faces[order]
+    keep = (P[:, :, 2] > 0).all(axis=1) & np.isfinite(planes).all(axis=(0, 2))
+    P, tint, planes = P[keep], tint[keep], planes[:, keep]
+    for faces, x, y in _covered(P, planes[:3], W, H):
+        a, b, c = planes[3, faces].T
+        pixel, depth = y * W + x, a + b * (x + 0.5) + c * (y + 0.5)
+        np.maximum.at(near, pixel, depth)
+        first = depth == near[pixel]
+        owner[pixel[first]] = faces[first]
     pixel = np.flatnonzero(owner >= 0)
-    color, faces = np.zeros((H * W, 3), dtype=np.float32), owner[pixel]
+    color, faces, y, x = np.zeros((H * W, 3)), owner[pixel], pixel // W, pixel % W
     for k in range(3):
-        color[pixel] += _plane(planes[k], faces, pixel, W)[:, None] * tint[faces, k]
-    return _Layer(near.reshape(H, W), np.clip(color, 0.0, 1.0).reshape(H, W, 3))
+        a, b, c = planes[k, faces].T
+        color[pixel] += (a + b * (x + 0.5) + c * (y + 0.5))[:, None] * tint[faces, k]
+    return _Layer(near, np.clip(color, 0.0, 1.0))
 
 
 def _planes(P: np.ndarray) -> np.ndarray:
@@ -198,25 +230,34 @@ def _planes(P: np.ndarray) -> np.ndarray:
     return np.array([*shares, sum(P[:, k, 2, None] * shares[k] for k in range(3))])
 
 
-def _plane(plane: np.ndarray, faces: np.ndarray, pixel: np.ndarray, W: int) -> np.ndarray:
-    """Return a + b x + c y at the middle of a pixel, for pairs of triangles (`faces`) and pixels; plane (N, 3): a, b, c."""
-    a, b, c = plane[faces].T
-    return a + b * (pixel % W + 0.5) + c * (pixel // W + 0.5)
+def _covered(P: np.ndarray, shares: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield the pixels of triangles P (N, 3, 3) as arrays: triangle, x and y.
+
+    In each row of pixels a triangle reaches from where all its barycentric coordinates, `shares` (3, N, 3), have become positive
+    to where the first becomes negative.
+    """
+    low, high = (np.clip(np.floor(end(P[:, :, 1], axis=1) + 0.5), 0, H).astype(int) for end in (np.min, np.max))
+    owner, y = _counted(high - low)
+    y += low[owner]
+    left, right = np.zeros(len(owner)), np.full(len(owner), float(W))
+    for a, b, c in np.moveaxis(shares[:, owner], 2, 1):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = -(a + c * (y + 0.5)) / b  # NaN, which ends nothing, on a side along the row
+        left, right = np.fmax(left, np.where(b > 0, ends, 0.0)), np.fmin(right, np.where(b < 0, ends, W))
+    start = np.clip(np.ceil(left - 0.5), 0, W).astype(int)
+    count = np.maximum(np.clip(np.ceil(right - 0.5), 0, W).astype(int) - start, 0)
+    # The rows are divided into chunks, which bounds the memory.
+    first = np.searchsorted(np.cumsum(count), np.arange(0, count.sum(), 2_000_000))
+    for chunk in np.split(np.arange(len(count)), np.unique(first)[1:]):
+        row, x = _counted(count[chunk])
+        row = chunk[row]
+        yield owner[row], x + start[row], y[row]
 
 
-def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield pairs of triangle and pixel indices, for all pixels in the bounding boxes of triangles P (N, 3, 3) [pixels]."""
-    low = np.clip(np.ceil(P[:, :, :2].min(axis=1) - 0.5), 0, (W, H)).astype(int)
-    high = np.clip(np.floor(P[:, :, :2].max(axis=1) - 0.5) + 1, 0, (W, H)).astype(int)
-    wide, tall = np.maximum(high - low, 0).T
-    count = wide * tall
-    some = np.flatnonzero(count)
-    # The triangles are divided into chunks, which bounds the memory.
-    first = np.searchsorted(np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000))
-    for chunk in np.split(some, np.unique(first)[1:]) if len(some) else ():
-        faces = np.repeat(chunk, count[chunk])
-        k = np.arange(len(faces)) - np.repeat(np.cumsum(count[chunk]) - count[chunk], count[chunk])
-        yield faces, (low[faces, 1] + k // wide[faces]) * W + low[faces, 0] + k % wide[faces]
+def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each index k count[k] times, and the numbers 0, 1, ... of its repetitions."""
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _grid(aim: Any) -> list[np.ndarray]:
@@ -227,38 +268,46 @@ def _grid(aim: Any) -> list[np.ndarray]:
     return [*ends, *(line[:, [1, 0, 2]] for line in ends)]
 
 
-def _words(figure: Any, axes: Any, about: dict[str, Any], height: int) -> None:
+def _words(pencil: _Pencil, about: dict[str, Any]) -> None:
     """Write title, lines and legend into the upper left corner, as the page does."""
-    from matplotlib.patches import Rectangle
-
-    y = 22
-    axes.text(16, y, about["title"], fontsize=11, fontweight="bold", va="center", parse_math=False)
+    sharp = pencil.sharp
+    x, y = 16 * sharp, 22 * sharp
+    pencil.text(x, y, about["title"], 11, bold=True)
     for line in about["lines"]:
-        y += 17
-        text = line if len(line) <= 74 else f"{line[:72]}..."
-        axes.text(16, y, text, fontsize=8.5, color=MUTED, va="center", parse_math=False)
-    x, y = 16, y + 18
+        y += 17 * sharp
+        pencil.text(x, y, line if len(line) <= 74 else f"{line[:72]}...", 8.5, MUTED)
+    y += 18 * sharp
     for color, text in about["legend"]:
-        axes.add_patch(Rectangle((x, y - 5), 10, 10, color=color if color[0] == "#" else GREY, lw=0))
-        axes.text(x + 15, y, text, fontsize=8, va="center", parse_math=False)
-        x += 34 + int(5.6 * len(text))
+        side = 5 * sharp
+        pencil.draw.rectangle((x, y - side, x + 2 * side, y + side), color if color[0] == "#" else GREY)
+        x += 34 * sharp + pencil.text(x + 3 * side, y, text, 8)
 
 
-def _chart(figure: Any, curves: Any) -> None:
-    """Draw the errors of `Window.about["curves"]` into the lower right corner.
+def _chart(pencil: _Pencil, curves: Any) -> None:
+    """Draw the errors of `Window.about["curves"]` on a logarithmic scale into the upper right corner.
 
     Each curve has a name, a colour, pairs of iteration and error [m], and words, which the page alone shows.
     """
-    if not curves:
-        return
-    axes = figure.add_axes((0.7, 0.55, 0.28, 0.36))
-    for name, color, errors, _ in curves:
-        k, error = np.array(errors).T
-        axes.semilogy(k, np.maximum(error, 1e-9), color=color, lw=1.4, label=literal_text(name))
-    axes.set_xlabel("iteration", fontsize=7)
-    axes.set_title("error [m]", fontsize=8)
-    axes.tick_params(labelsize=7)
-    axes.legend(fontsize=7, loc="upper right")
+    (W, H), sharp = pencil.image.size, pencil.sharp
+    left, right, top, bottom = 0.72 * W, 0.98 * W, 0.09 * H, 0.45 * H
+    drawn = [(name, color, np.maximum(errors, (0.0, 1e-9))) for name, color, errors, _ in curves]
+    last = max(1.0, *(errors[-1, 0] for _, _, errors in drawn))
+    logs = np.log10(np.concatenate([errors[:, 1] for _, _, errors in drawn]))
+    low, high = int(np.floor(logs.min())), int(np.ceil(logs.max() + 1e-9))
+    scale = np.array([(right - left) / last, (top - bottom) / (high - low)])
+    pencil.draw.rectangle((left, top, right, bottom), "white", "#8C8C8C")
+    for power in range(low, high + 1):
+        y = bottom + scale[1] * (power - low)
+        pencil.draw.line((left, y, right, y), "#d9dee4")
+        if power % max(1, (high - low) // 4) == 0:
+            pencil.text(left - 6, y, f"1e{power}", 7, at="rm")
+    for k, (name, color, errors) in enumerate(drawn):
+        line = np.array([left, bottom]) + scale * np.column_stack([errors[:, 0], np.log10(errors[:, 1]) - low])
+        pencil.draw.line([*line.ravel()], color, 2 * sharp, "curve")
+        pencil.text(right - 8, top + (10 + 13 * k) * sharp, name, 7, color, "rm")
+    pencil.text(left, top - 8 * sharp, "error [m]", 8)
+    pencil.text(left, bottom + 8 * sharp, "0", 7)
+    pencil.text(right, bottom + 8 * sharp, f"iteration {last:.0f}", 7, at="rm")
 
 
 # ------------------------------------------------------------------------------------------------------------------ films

@@ -66,6 +66,8 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         meant = f"to write the chart give file={str(robot)!r}" if drawn else "see Robot.load"
         raise InvalidOption(f"a Robot or a Tree is needed as robot=, not {str(robot)!r:.60}; {meant}")
     several = tuple(what.values()) if isinstance(what, Mapping) else (what,)
+    if not several:
+        raise InvalidOption("there is nothing to draw: the dict is empty; see help(ik.plot)")
     alone = next((draw for kind, draw in ALONE.items() if isinstance(what, kind)), None)
     if alone is not None:
         figure = alone(what)
@@ -75,9 +77,9 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = postures({f"solution {k}": q for k, q in enumerate(what.q[: len(COLOURS)])}, what.robot, target)
     elif isinstance(what, TrackResult):
         figure = plot_track(what, _needed(robot, "a tracking run"))
-    elif several and all(isinstance(one, TrackResult) for one in several):
+    elif all(isinstance(one, TrackResult) for one in several):
         figure = tracking_errors(what)
-    elif several and all(isinstance(one, Result) for one in several):
+    elif all(isinstance(one, Result) for one in several):
         figure = convergence(what)
     elif all(isinstance(one, list | tuple | np.ndarray | str) for one in several):
         figure = postures(what, _needed(robot, "configurations"), target)

@@ -15,7 +15,7 @@ from ..robot.pose import AxisTarget, as_matrix, check_target
 from ..validate import positive, switch
 from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
-from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
+from .body import Body, DrawnShape, drawn_shape, mapped, primitive, revolved, standing, tube
 from .feed import Guest
 from .meshcat_server import Window, write_page
 from .notebook import InCell, PageInCell
@@ -29,12 +29,12 @@ MAX_GHOSTS = 12
 class Scene(InCell, SceneState):
     """The drawing of a robot and of what is around it. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-    Everything has a name, by which it is moved, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
+    Everything has a name, by which it is mapped, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
     them, `drawn()` returns all poses. Raises MissingExtra without meshcat or trimesh.
     """
 
     # -------------------------------------------------------------------------------------------------- what is shown
-    def update(self, what: Any = None, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
+    def update(self, what: Any, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
         """Show another configuration or result, as `view` does; robot, tips, target, caption and drawings of a result are replaced.
 
         A target or a cloud that is not given stays, and so do the camera and what was added by name. Invalid input raises, as in
@@ -339,16 +339,14 @@ class Scene(InCell, SceneState):
 
 def _axes(axis: Any, bare: bool, size: float) -> list[DrawnShape]:
     """Return the ball and arrows of a frame of a size [m], of one arrow along an axis (3,), or of a ball only (bare)."""
-    make, align = need_trimesh().creation, need_trimesh().geometry.align_vectors
     r = 0.035  # radius of an axis over its length
-    shapes = [(make.uv_sphere(radius=(2.2 if bare else 1.7) * r, count=(16, 16)), RED if bare else SLATE)]
+    shapes = [(primitive("sphere", ((2.2 if bare else 1.7) * r,)), RED if bare else SLATE)]
     arrows = zip(np.eye(3), AXES, strict=True) if axis is None else [(np.asarray(axis), PURPLE)]
+    rod, cone = revolved([(0, 0), (1, 0), (1, 1), (0, 1)], 20), revolved([(0, 0), (1, 0), (0, 1)], 24)
     for direction, color in () if bare else arrows:
-        cone = make.cone(radius=2.1 * r, height=0.22, sections=24)
-        cone.apply_transform(align((0, 0, 1), direction))
-        cone.apply_translation(0.78 * direction)
-        shapes += [(make.cylinder(r, segment=[np.zeros(3), 0.8 * direction], sections=20), color), (cone, color)]
-    return [DrawnShape(*split_sharp_edges(mesh, size), color) for mesh, color in shapes]
+        shapes.append((mapped(rod, standing(np.zeros(3), 0.8 * direction, r)), color))
+        shapes.append((mapped(cone, standing(0.78 * direction, direction, 2.1 * r)), color))
+    return [DrawnShape(size * vertices, faces, color) for (vertices, faces), color in shapes]
 
 
 def view(
@@ -383,7 +381,9 @@ def view(
     """
     scene = Scene(robot, title)
     cells = what if hasattr(what, "manipulability") and hasattr(what, "grid") else None
-    scene.update(None if cells is not None else what, target=target, cloud=cloud, obstacles=obstacles)
+    scene.update(
+        robot.home if what is None or cells is not None else what, target=target, cloud=cloud, obstacles=obstacles
+    )
     if cells is not None:
         from .reach_pictures import draw_cells  # imported when needed: it loads the solvers' studies
 

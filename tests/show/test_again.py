@@ -250,8 +250,10 @@ BAD = [
     lambda s: s.look(target="there"), lambda s: s.say(5), lambda s: s.remove("nothing"), lambda s: s.remove(None),
     lambda s: s.add("box"), lambda s: s.add(ik.Shape.sphere(0.1), [NAN] * 3), lambda s: s.add(s.robot, [1.0]),
     lambda s: s.add(s.robot, T_base=[1.0]), lambda s: s.add(s.robot, name="robot"), lambda s: s.serve(-1),
-    lambda s: s.serve("a"), lambda s: s.serve(70_000), lambda s: s.update([NAN] * 6), lambda s: s.update(None, [1.0]),
-    lambda s: s.update(None, {"tool": [NAN] * 3}), lambda s: s.update(None, cloud=[1.0]), lambda s: s.update(None, obstacles=4),
+    lambda s: s.serve("a"), lambda s: s.serve(70_000), lambda s: s.update([NAN] * 6),
+    lambda s: s.update(s.robot.home, [1.0]), lambda s: s.update(None), lambda s: s.animate(None), lambda s: s.ghosts(None),
+    lambda s: s.update(s.robot.home, {"tool": [NAN] * 3}),
+    lambda s: s.update(s.robot.home, cloud=[1.0]), lambda s: s.update(s.robot.home, obstacles=4),
     lambda s: s.update(s.robot.home, 5), lambda s: s.update(object()), lambda s: s.converge(s.robot.home),
     lambda s: s.controls("yes"), lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
 ]  # fmt: skip
@@ -272,6 +274,15 @@ def test_bad_input_raises_our_errors_and_changes_nothing(arm):
         assert state(scene) == before, (k, caught)
     with pytest.raises(InvalidOption, match=r"for 0 to 255 write \(1\.0, 0\.502, 0\.0\)"):
         scene.show(arm.home, color=(255, 128, 0))
+
+
+def test_nothing_to_show_is_said(arm):
+    with pytest.raises(InvalidOption, match=r"nothing to show: give a configuration q .* not None"):
+        view(arm).update(None)
+    with pytest.raises(InvalidOption, match=r"interact takes a solver .* not None"):
+        ik.interact(arm, None)
+    with pytest.raises(InvalidOption, match="the dict is empty"):
+        ik.plot({}, arm)
 
 
 def test_view_refuses_bad_input(arm):

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import InvalidTarget
-from ..body import Body, BodyPart, need_trimesh
+from ..body import Body, BodyPart, primitive
 
 RED = (204, 51, 38)  # colour of the line to a target that is not reached
 GHOST = (0, 114, 178)
@@ -277,9 +277,9 @@ class Stage:
         if ball is None:
             if not visible:
                 return
-            form = need_trimesh().creation.icosphere(subdivisions=3)
+            vertices, faces = primitive("sphere", (1.0,))
             ball = self.ellipsoids[k] = self.client.scene.add_mesh_simple(
-                self.path(f"ellipsoid/{k}"), form.vertices, form.faces, color=GHOST, opacity=0.35, cast_shadow=False
+                self.path(f"ellipsoid/{k}"), vertices, faces, color=GHOST, opacity=0.35, cast_shadow=False
             )
         ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
         ball.visible = visible
