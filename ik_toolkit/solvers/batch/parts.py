@@ -1,7 +1,6 @@
 """Solves the rows of a batch in parts, on threads or on an executor."""
 
 import functools
-import itertools
 import pickle
 import threading
 from collections import deque
@@ -165,12 +164,8 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved on threads of this process; a single job needs none."""
-    begun = [*itertools.islice(jobs, 2)]
-    if len(begun) < 2:
-        yield from (_solve_part(plan, job, share) for job in begun)
-        return
-    jobs, stop = itertools.chain(begun, jobs), threading.Event()
+    """Yield the result rows and failures of each job, in order, solved on threads of this process."""
+    stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
         yield from _in_order(lambda job: pool.submit(_solve_part, plan, job, share, stop), jobs, AHEAD * threads)
