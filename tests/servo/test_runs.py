@@ -190,7 +190,7 @@ def test_command_warns_and_refuses(capsys):
         (["--path", "missing.csv"], "no reference file"),
         (["-p", "damping=x"], "damping must be a number"),
     ):
-        assert main(["track", "panda", *arguments]) == 2
+        assert main(["track", "planar_2r", *arguments]) == 2
         assert words in capsys.readouterr().err
 
 
