@@ -34,6 +34,8 @@ TOGETHER = {
     "tests/solvers/test_others.py": "search",
     "tests/solvers/test_solve.py": "search",
     "tests/solvers/test_tree_preferences.py": "search",
+    "tests/package/test_ratchets.py": "sources",
+    "tests/package/test_structure.py": "sources",
     # Few tests, but long ones: groups are handed out by their number of tests, and each of these alone would come last.
     "tests/cli/test_first_use.py": "processes",
     "tests/kernel/test_cache.py": "processes",

@@ -54,23 +54,20 @@ def compiling_elsewhere(cache):
 
 
 def test_an_empty_cache_is_no_reason_to_wait(tmp_path):
-    with compiling_elsewhere(tmp_path):
-        done = run(SOLVE, tmp_path)
-        answer = json.loads(done.stdout)
-        assert done.returncode == 0 and answer["kernel"] == "interpreted" and answer["success"]
-        assert "background" in done.stderr
-        robot = ik.Robot.load("hydrolek_7w")
-        assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
-    assert not list(tmp_path.rglob("*.nbc"))
-
-
-def test_the_second_run_gets_the_same_standard_input(tmp_path):
+    """The second run gets the same standard input, repeats no notice and runs nothing from the current folder."""
     text = shipped_robots()["hydrolek_7w"].path.read_text()
+    (tmp_path / "typer.py").write_text("raise SystemExit('ran what lies in the current folder')")
+    script = "import sys; sys.path.remove(''); from ik_toolkit.cli import main; sys.exit(main())"  # as the script `ik`
+    words = ["solve", "-", *SOLVE[2:], "--rpy", "90", "0", "0", "--mask", "1", "1", "1", "0", "0", "0"]
     with compiling_elsewhere(tmp_path):
-        done = run(["solve", "-", *SOLVE[2:]], tmp_path, given=text)
+        done = run(words, tmp_path, start=("-c", script), cwd=tmp_path, given=text)
     answer = json.loads(done.stdout)
-    assert done.returncode == 0 and answer["success"] and answer["kernel"] == "interpreted", done.stderr
-    assert answer["robot"] == "hydrolek_7w"
+    assert done.returncode == 0 and answer["kernel"] == "interpreted" and answer["success"], done.stderr
+    assert answer["robot"] == "hydrolek_7w" and "background" in done.stderr
+    robot = ik.Robot.load("hydrolek_7w")
+    assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
+    assert done.stderr.count("were degrees meant") == 1 and "current folder" not in done.stderr
+    assert not list(tmp_path.rglob("*.nbc"))
 
 
 def test_on_a_build_machine_and_in_process_it_compiles(capsys):
@@ -91,20 +88,6 @@ def test_what_the_uncompiled_kernel_cannot_solve_is_solved_compiled_and_then_eve
     after = run(SOLVE, tmp_path)
     assert json.loads(after.stdout)["kernel"] == "compiled" and "background" not in after.stderr
     assert set(tmp_path.rglob("*.nbc")) == kept
-
-
-def test_the_second_run_repeats_no_notice_and_runs_nothing_from_the_current_folder(tmp_path):
-    (tmp_path / "typer.py").write_text("raise SystemExit('ran what lies in the current folder')")
-    script = "import sys; sys.path.remove(''); from ik_toolkit.cli import main; sys.exit(main())"  # as the script `ik`
-    with compiling_elsewhere(tmp_path):
-        done = run(
-            [*SOLVE, "--rpy", "90", "0", "0", "--mask", "1", "1", "1", "0", "0", "0"],
-            tmp_path,
-            start=("-c", script),
-            cwd=tmp_path,
-        )
-    assert json.loads(done.stdout)["kernel"] == "interpreted"
-    assert done.stderr.count("were degrees meant") == 1 and "current folder" not in done.stderr
 
 
 DYING = """

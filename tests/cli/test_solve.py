@@ -23,23 +23,7 @@ def read(name, *words):
 
 
 def test_numbers_after_an_option_that_takes_several_are_joined():
-    words = [
-        "arm",
-        "--q0",
-        "1",
-        "-2e-1",
-        ".3",
-        "--deg",
-        "--xyz",
-        "1,2",
-        "-3",
-        "--seed",
-        "4",
-        "--target",
-        "a:1",
-        "2",
-        "3",
-    ]
+    words = "arm --q0 1 -2e-1 .3 --deg --xyz 1,2 -3 --seed 4 --target a:1 2 3".split()
     found = read("solve", *words)
     assert (found["q0"], found["xyz"], found["seed"]) == ("1 -2e-1 .3", "1,2 -3", 4) and found["deg"]
     assert found["targets"] == ["a:1 2 3"]
@@ -217,21 +201,7 @@ def test_all_with_a_direction_gives_a_spread_and_a_pose_in_json(run):
 
 def test_solve_takes_preferences(run):
     code, out, _ = run(
-        "solve",
-        "inspection_7dof",
-        "--xyz",
-        "0.4",
-        "0.1",
-        "0.9",
-        "--direction",
-        "0",
-        "0",
-        "-1",
-        "--tip-axis",
-        "1",
-        "0",
-        "0",
-        "--json",
+        *"solve inspection_7dof --xyz 0.4 0.1 0.9 --direction 0 0 -1 --tip-axis 1 0 0 --json".split(),
     )
     assert code == 0
     robot = ik.Robot.load("inspection_7dof")
@@ -254,22 +224,7 @@ def test_solve_takes_preferences(run):
 def test_what_counts_on_the_command_line_is_what_it_is_in_python(run):
     words = [
         *SOLVE,
-        "--rpy",
-        "-90",
-        "0",
-        "-70",
-        "--deg",
-        "--slack",
-        "0.02",
-        "0",
-        "0",
-        "0",
-        "inf",
-        "10",
-        "--free-turn",
-        "0",
-        "0",
-        "1",
+        *"--rpy -90 0 -70 --deg --slack 0.02 0 0 0 inf 10 --free-turn 0 0 1".split(),
     ]
     code, out, _ = run(*words, "--frame", "tip", "--mask", "1", "1", "1", "1", "1", "0", "--json")
     robot = ik.Robot.load("hydrolek_7w")

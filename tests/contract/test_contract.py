@@ -37,7 +37,7 @@ CLAIMED = {
     "elimination": {("hydrolek_7w", "pose"), ("continuous_mix", "pose"), ("locked", "pose")},
 }
 # Rules that differ from those tested on two arms by a line each; a search for several tips takes 4 to 7 s to compile for each.
-ALIKE = ("pinv", "transpose", "pid")
+ALIKE = ("pinv", "dls", "transpose", "pid")
 
 
 def claims(row, arm, kind):

@@ -1,10 +1,9 @@
-"""The kernel's kinematics against Pinocchio (the oracle) and against finite differences on the manifold."""
+"""The kernel's kinematics against Pinocchio (the oracle); against the second FK see test_second_fk.py."""
 
 import math
 
 import numba
 import numpy as np
-import pinocchio as pin
 import pytest
 import robots
 
@@ -29,23 +28,6 @@ def test_forward_kinematics_and_jacobian_equal_pinocchio(name):
     poses, jacobians = robot.chain.forward(Q, jacobian=True)
     assert np.abs(poses - T).max() < 1e-12 * size
     assert max(np.abs(robot.jacobian(q) - J).max() for q, J in zip(Q, jacobians, strict=True)) < 1e-12 * size
-
-
-@pytest.mark.parametrize(
-    "name", ["hydrolek_7w", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix", "tool"]
-)
-def test_jacobian_by_finite_differences_on_the_manifold(name):
-    robot = robots.load(name)
-    Q, _ = robots.sample(robot, 5, seed=6)
-    h = 1e-6
-    for q, J in zip(Q, robot.chain.forward(Q, jacobian=True)[1], strict=True):
-        for i in range(robot.n):
-            step = np.zeros(robot.n)
-            step[i] = h
-            a, b = robot.fk(q - step), robot.fk(q + step)
-            linear = (b.translation - a.translation) / (2 * h)
-            angular = a.rotation @ pin.log3(a.rotation.T @ b.rotation) / (2 * h)
-            assert np.allclose(J[:, i], np.concatenate([linear, angular]), atol=2e-9)
 
 
 @cached

@@ -145,7 +145,7 @@ def test_no_move_brings_a_pair_nearer_than_the_bound(name):
 def test_the_clearance_is_kept_and_near_what_is_found():
     robot, rng = arm(), np.random.default_rng(3)
     seen = 0
-    while seen < 5:
+    while seen < 3:
         model, ends = scene(robot, rng), path(robot, rng, 2, 0.3)
         curve = ends[0] + np.linspace(0.0, 1.0, 30)[:, None] * (ends[1] - ends[0])
         clearance, contacts, _ = find_contacts(model, curve, np.arange(30.0), np.ones(29, dtype=bool))

@@ -44,7 +44,7 @@ def test_a_motion_of_the_arm_itself_is_followed_in_one_piece(name):
 
 
 @pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
-@pytest.mark.parametrize("seed", [6, 64, 135])
+@pytest.mark.parametrize("seed", [6, 135])
 def test_a_motion_through_singular_poses_is_followed(seed):
     """Poses interpolated beside a singular pose are out of reach, and the nearest solution beyond it may be on another branch."""
     robot, rng = robots.load("ur5"), np.random.default_rng([1, seed])

@@ -249,7 +249,7 @@ def test_hostile_meshes_are_refused_by_name(kind, place):
 
 @pytest.mark.parametrize(
     ("body", "said", "seconds"),
-    [("os.kill(os.getpid(), 11)", "crashed", meshes.SECONDS), ("[0 for _ in iter(int, 1)]", "too much time", 1.5)],
+    [("os.kill(os.getpid(), 11)", "crashed", meshes.SECONDS), ("[0 for _ in iter(int, 1)]", "too much time", 0.5)],
 )
 def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, monkeypatch, body, said, seconds):
     """Readers have more bugs than we know: here any file of 6 bytes is one."""

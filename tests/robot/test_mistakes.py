@@ -46,8 +46,6 @@ def test_configurations(arm):
         InvalidConfiguration, match=rf"must have {arm.model.nq} values for this model, not shape \(2,\)"
     ):
         arm.to_pinocchio(arm.home, rest=[0.0, 0.0])
-    with pytest.raises(InvalidOption, match=r"rng must be a numpy.random.Generator"):
-        arm.random_q(3)
     for rows in ("positions", (0, 0), (6,), (), 3):
         with pytest.raises(
             InvalidOption, match="rows must be 'pose', 'position', 'orientation' or different numbers from 0 to 5"

@@ -96,7 +96,7 @@ def test_measurements_in_some_samples_only():
 
 
 @pytest.mark.parametrize("true", [0, 2, 4])
-@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize("length", [1, 3])
 def test_measurements_far_off_are_one_jump_at_most(true, length):
     """The measurements after a jump are of before it: compared with what was commanded since, each would cause another."""
     robot = robots.load("planar_3r")

@@ -121,19 +121,17 @@ def test_accelerations_are_kept_however_the_step_changes(name, acceleration):
 @pytest.mark.parametrize(("gamma", "acceleration"), [(0.5, 2.0), (0.5, 10.0), (0.6, 10.0)])
 def test_no_contact_on_the_parabola_of_a_long_step_after_short_ones(gamma, acceleration):
     robot, model, q = scene("two_arms")
-    for seed in range(2):
-        h = 10.0 ** np.random.default_rng(seed).uniform(-5.0, np.log10(0.05), 250)
-        _, refused = drive(robot, model, wanderer(robot, seed, 60), 250, h, gamma, acceleration, q, obey=False)
-        assert refused
+    h = 10.0 ** np.random.default_rng(0).uniform(-5.0, np.log10(0.05), 250)
+    _, refused = drive(robot, model, wanderer(robot, 0, 60), 250, h, gamma, acceleration, q, obey=False)
+    assert refused
 
 
 @pytest.mark.parametrize(("gamma", "acceleration"), [(1.0, 10.0), (0.5, np.inf), (0.6, np.inf)])
 def test_no_contact_when_the_step_changes(gamma, acceleration):
     robot, model, q = scene("two_arms")
     h = np.random.default_rng(5).choice([0.001, 0.01, 0.05], 300)
-    for seed in range(2):
-        way = {"h": h, "q": q, "obey": False, "gamma": gamma, "acceleration": acceleration}
-        drive(robot, model, wanderer(robot, seed, hold=40), 300, **way)
+    way = {"h": h, "q": q, "obey": False, "gamma": gamma, "acceleration": acceleration}
+    drive(robot, model, wanderer(robot, 0, hold=40), 300, **way)
 
 
 def ball_in_the_way(gap):

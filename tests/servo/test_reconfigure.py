@@ -67,9 +67,8 @@ def time_back(robot, steps, begin):
     return (back - begin) * DT, float(bound)
 
 
-@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize(("method", "degrees"), [("cv", 720.0), ("aad", -720.0)])
 @pytest.mark.parametrize("name", ["panda", "hydrolek_7w", "ur5"])
-@pytest.mark.parametrize("degrees", [720.0, -720.0])
 def test_a_tool_turned_twice_is_followed(name, method, degrees):
     robot = ik.Robot.load(name)
     targets = turned(robot.fk(robot.home).homogeneous, degrees, 2.0)

@@ -148,22 +148,7 @@ def test_saved_files(panda, tmp_path):
 
 def test_command(capsys, tmp_path):
     plot, file = tmp_path / "cut.png", tmp_path / "cut.npz"
-    cut = [
-        "track",
-        "hydrolek_7w",
-        "--path",
-        "line",
-        "--length",
-        "0.3",
-        "--axis",
-        "0",
-        "0",
-        "-1",
-        "--rate",
-        "200",
-        "-m",
-        "ca",
-    ]
+    cut = "track hydrolek_7w --path line --length 0.3 --axis 0 0 -1 --rate 200 -m ca".split()
     assert main([*cut, "--plot", str(plot), "-o", str(file)]) == 0
     out = capsys.readouterr()
     assert "COMPLETED" in out.out and "shoulder_pitch" in out.out
@@ -190,7 +175,7 @@ def test_command_warns_and_refuses(capsys):
         (["--path", "missing.csv"], "no reference file"),
         (["-p", "damping=x"], "damping must be a number"),
     ):
-        assert main(["track", "panda", *arguments]) == 2
+        assert main(["track", "planar_2r", *arguments]) == 2
         assert words in capsys.readouterr().err
 
 

@@ -277,16 +277,13 @@ def test_a_rate_that_is_named_is_stable_along_the_path(method, gains):
     """Also where the gains are unstable at rest: the rate that is stable there is too low along the path."""
     robot = ik.Robot.load("planar_2r")
     path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
-    for rate in (4.0, 4.97):
-        check = st.check_gains(method, 1.0 / rate, robot=robot, path=path, **gains)
-        assert (
-            check.verdict == "unstable" and f"a rate above {1.0 / check.longest_step:.4g} Hz is stable" in check.message
-        )
-        assert "Try" not in check.message
-        above, below = (
-            st.check_gains(method, check.longest_step * f, robot=robot, path=path, **gains) for f in (0.999, 1.1)
-        )
-        assert above.along.factor < 1.0 <= below.along.factor
+    check = st.check_gains(method, 1.0 / 4.97, robot=robot, path=path, **gains)
+    assert check.verdict == "unstable" and f"a rate above {1.0 / check.longest_step:.4g} Hz is stable" in check.message
+    assert "Try" not in check.message
+    above, below = (
+        st.check_gains(method, check.longest_step * f, robot=robot, path=path, **gains) for f in (0.999, 1.1)
+    )
+    assert above.along.factor < 1.0 <= below.along.factor
 
 
 def test_a_lap_is_closed_whatever_the_rate():

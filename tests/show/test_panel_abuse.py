@@ -222,7 +222,7 @@ def check_alive(panel):
     visitor.leave()
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.slow)])
 def test_malformed_messages(panel, count, record_property, capfd):
     out = harass(panel, count, seed=0)
     record_property("note", f"{count} malformed messages, {out} of them rejected with a message")

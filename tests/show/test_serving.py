@@ -184,7 +184,7 @@ def test_a_port_in_use_is_an_error():
 @pytest.mark.parametrize(
     ("command", "end"),
     [
-        ("view planar_2r --no-open", signal.SIGTERM),
+        pytest.param("view planar_2r --no-open", signal.SIGTERM, marks=pytest.mark.slow),
         pytest.param("view planar_2r --no-open", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("panel planar_2r --no-open", signal.SIGTERM, marks=pytest.mark.slow),
         ("panel planar_2r --no-open", signal.SIGINT),

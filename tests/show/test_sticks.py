@@ -68,7 +68,7 @@ def bars_of(scene):
 
 
 def test_the_drawn_chain_of_random_robots_leads_from_the_base_to_the_tip():
-    for seed, robot in random_robots(60):
+    for seed, robot in random_robots(30):
         scene = Scene(robot)
         R, base = scene.body.T_world_base[:3, :3], scene.body.T_world_base[:3, 3]
         for q in robot.random_q(np.random.default_rng(seed), 2):

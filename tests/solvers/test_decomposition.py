@@ -150,7 +150,7 @@ def test_the_arcs_on_which_a_sum_is_between_bounds():
 # ----------------------------------------------------------------------------------------------------------------- decompositions
 @pytest.mark.parametrize("kind", KINDS)
 def test_branches_are_what_the_elimination_finds(kind):
-    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (60, 6)), 0
+    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (36, 6)), 0
     for seed in (6, 7):
         arm = arm_of(kind, seed)
         forms = make_forms(arm)
@@ -164,7 +164,7 @@ def test_branches_are_what_the_elimination_finds(kind):
             if sure:
                 both += 1
                 assert len(one) == len(two) and all(apart(two, x).min() < 1e-6 for x in one)
-    assert both > 100
+    assert both > 60
 
 
 @pytest.mark.parametrize("kind", ["wrist", "wrist at the base", "wrist, first axes meet", "three parallel"])

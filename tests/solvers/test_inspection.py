@@ -278,8 +278,8 @@ print(len(compiled.buffer))
 
 
 def test_listing_compiles_nothing_in_a_second_process():
-    for _ in range(2):
-        done = subprocess.run([sys.executable, "-c", LISTING], capture_output=True, text=True, check=True)
+    exec(LISTING, {})
+    done = subprocess.run([sys.executable, "-c", LISTING], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0"], done.stdout
 
 

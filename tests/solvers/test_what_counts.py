@@ -196,7 +196,6 @@ def test_closed_forms_refuse_and_auto_searches():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"frame": "tool"}, "base, tip, target"),
         ({"frame": np.array(["base", "tip"])}, "base, tip, target"),
         ({"slack": [0.1] * 3}, "six half widths"),
         ({"slack": [0.1] * 5 + [-1e-3]}, "at least 0"),

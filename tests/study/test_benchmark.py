@@ -287,17 +287,7 @@ def test_command(tmp_path):
     run = CliRunner().invoke(
         application(),
         [
-            "bench",
-            "brokk_hydrolek",
-            "--tip",
-            "left_tip",
-            "--tip",
-            "right_tip",
-            "--solvers",
-            "lm",
-            "-n",
-            "4",
-            "-o",
+            *"bench brokk_hydrolek --tip left_tip --tip right_tip --solvers lm -n 4 -o".split(),
             str(tmp_path / "t.json"),
         ],
     )

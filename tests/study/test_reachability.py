@@ -307,21 +307,7 @@ def test_mistakes_are_named():
 
 def test_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    asked = [
-        "reach",
-        "hydrolek_7w",
-        "--region",
-        "0.3",
-        "-0.4",
-        "-0.3",
-        "1.1",
-        "0.4",
-        "0.5",
-        "--resolution",
-        "0.2",
-        "--audit",
-        "10",
-    ]
+    asked = "reach hydrolek_7w --region 0.3 -0.4 -0.3 1.1 0.4 0.5 --resolution 0.2 --audit 10".split()
     assert main([*asked, "-o", "map.npz", "--plot", "map.png", "--html", "map.html"]) == 0
     said = capsys.readouterr()
     assert "reached" in said.out and "64 cells of 200 mm: 64 answers" in said.err
