@@ -30,7 +30,7 @@ def test_metres_taken_for_millimetres_are_refused(data):
 def test_rows_in_another_order_are_not_credible(data, tmp_path, capsys):
     arm, Q, at = data
     assert ik.calibrate(arm, Q, at).credible
-    found = ik.calibrate(arm, Q, at[::-1], parameters=("joints",))
+    found = ik.calibrate(arm, Q, at[::-1])
     assert not found.credible and not found.to_dict()["credible"]
     write_table(tmp_path / "m.csv", [*arm.joint_names, "x", "y", "z"], np.hstack([Q, at[::-1]]).tolist())
     said = ["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.csv"), "-o", str(tmp_path / "arm.urdf")]
