@@ -153,12 +153,12 @@ class Candidates:
         for a in range(0, len(bases), once):
             some = bases[a : a + once]
             reached, q = self.reach(some, W)
-            part = share[a : a + once] = reached.mean(axis=1)
+            part = reached.mean(axis=1)
             if self.scene is not None:
                 look = part > (best[0] if len(best) == keep else 0.0)
                 part[look] = self.reach_beside(some[look], W, reached[look], q[look]).mean(axis=1)
-                share[a : a + once] = part
                 best = np.sort([*best, *part[look]])[-keep:]
+            share[a : a + once] = part
         self.tried.append((bases, share))
         if self.progress is not None:
             self.progress(sum(len(one) for one, _ in self.tried))
@@ -190,7 +190,8 @@ class Candidates:
                 starts[:, self.moving] = self.robot.random_q(self.rng, len(starts))[:, self.moving]
                 good, found = self.solve(tip, in_base(bases, T)[base, pose], 1, q0=starts)
                 base, pose = base[good], first + pose[good]
-                free[base, pose] |= self.untouched(bases[base], found[good])
+                clear = self.untouched(bases[base], found[good])
+                free[base[clear], pose[clear]] = True
             first += len(T)
         return free
 
