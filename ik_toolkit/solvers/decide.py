@@ -133,7 +133,8 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
     """
     edge, clear, length, same = terms
     silent, bounds = np.empty((0, 0)), np.empty((3, N))
-    bounds[:2] = box
+    for i in range(2):
+        copy(box[i], bounds[i])
     for t in range(T.shape[0]):
         row, start = out[t], Q0[t]
         copy(start, bounds[2])
@@ -146,7 +147,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         for k in range(Q.shape[0]):
             worst = excess[k].max()
             if k >= count or worst < edge:
-                legal[kept] = Q[k]
+                copy(Q[k], legal[kept])
                 kept += 1
             known = k >= count or worst * found[t, 1 + k, N] >= clear
             far, told = far and known, told and (known or worst == 0.0)

@@ -7,6 +7,7 @@ import numpy as np
 from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
 
 from ...compile.jit import cached
+from ...kernel.records import copy
 from ...text import length
 from ..explain.worked_solution import Branch, Free, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
@@ -65,7 +66,7 @@ def worked_out(p, T, d, box, head, table):
     wrist_pose(p, T, P)
     head[15] = inspection_margin(P, d, p[A4], p[A6])
     head[16] = inspection_nearest(P, d, p[A4], p[A6])
-    head[:12] = P
+    copy(P, head)
     head[12], head[13], head[14] = shoulder_in_tool(P, d)
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, p[A4], p[A6], near)
     head[17], head[18], head[19], head[20], head[21] = on_six, straight, bend, inner, heading

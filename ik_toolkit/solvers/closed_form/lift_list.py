@@ -7,6 +7,7 @@ import numpy as np
 
 from ...compile.jit import cached
 from ...kernel.kinematics import TAU
+from ...kernel.records import copy
 from . import reach
 from .geometry import Branches, Family
 from .lift_arm import (
@@ -149,7 +150,7 @@ def shortened(p, T, lift, P, before):
     `before` (3,) receives its point before that move.
     """
     wrist_pose(p, T, P)
-    before[:] = P[9:]
+    copy(P[9:], before)
     return inspection_nearest(P, lift, p[A4], p[A6])
 
 
