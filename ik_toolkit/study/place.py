@@ -40,7 +40,8 @@ class Placement:
         tips: Name of the tip of each pose (N,), one tip after another.
         reached: Which poses are reached (N,), and `count`, how many.
         q: Configurations (N, n) [rad or m], NaN where a pose is not reached.
-        clearance: Least distance [m] to obstacles, at a sample of the configurations; NaN without avoid_collisions.
+        clearance: Least distance [m] of any two parts (links, tools, obstacles), at a sample of the configurations; NaN without
+            avoid_collisions.
         margin: Mean distance to the nearest limit over half the range, 0 to 1.
         manipulability: Mean manipulability.
         path: For ordered poses the PathResult through those that are reached, or None.
@@ -73,9 +74,12 @@ class Placement:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key, larger is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability."""
+        """Sort key, larger is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability.
+
+        Without a path, or where it cannot be followed, the number of reconfigurations counts as infinite.
+        """
         clear = 0.0 if np.isnan(self.clearance) else self.clearance
-        breaks = 0 if self.path is None else len(self.path.reconfigurations)
+        breaks = len(self.path.reconfigurations) if self.path is not None and self.path.success else np.inf
         return (self.count, -breaks, clear, self.margin, self.manipulability)
 
 
@@ -173,9 +177,9 @@ def place(
         where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
         yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
         height: Height of the base [m], a number or (lower, upper).
-        ordered: Whether the poses are a path. `solve_path` then follows it from the best places, and of places that reach equally
-            many poses, those with fewer reconfigurations come first.
-        count: Number of placements to return.
+        ordered: Whether the poses are a path. `solve_path` then follows it from the three best places, and of places that reach
+            equally many poses, those with fewer reconfigurations come first.
+        count: Number of placements to return; fewer where those examined are too near each other.
         progress: Called as progress(done) with the number of candidates examined.
         **options: As for `solve_batch`: tolerances, limits, free_turn, seed, ...; the shapes of a CollisionModel given as
             avoid_collisions are those of the scene, in the frame of the poses.
@@ -185,7 +189,7 @@ def place(
 
     Raises:
         InvalidOption, InvalidTarget: An argument is wrong.
-        PlaceInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the best so far.
+        PlaceInterrupted: Ctrl-C; its `result` has the best so far, without paths (KeyboardInterrupt if there are none yet).
     """
     require_robot(robot)
     if robot.on_base is not None and not isinstance(robot.on_base, str):
@@ -203,13 +207,12 @@ def place(
         robot, W, (low, high), scene, {**options, "seed": whole(options.get("seed", 0), "seed", 0)}, progress
     )
     try:
-        best = study.run()
+        study.run()
+        return _result(study, count, ordered)
     except KeyboardInterrupt:
-        best = study.best(count)
-        if not len(best):
+        if not study.tried:
             raise
-        raise PlaceInterrupted(_result(study, best, count, False)) from None
-    return _result(study, best, count, ordered)
+        raise PlaceInterrupted(_result(study, count, False)) from None
 
 
 def _poses(robot: Robot | Tree, given: Any) -> dict[str, np.ndarray]:
@@ -271,27 +274,22 @@ def _scene(robot: Any, asked: Any) -> CollisionModel | None:
         raise InvalidOption(
             "place keeps no shapes that the robot holds; give it a tool with shapes (`Robot.with_tool`)"
         )
-    made = CollisionModel(robot, geometry=given._given, ignore=given.ignore, margin=given.margin)
+    made = CollisionModel(given.robot, geometry=given._given, ignore=given.ignore, margin=given.margin)
     for name, shape, T in given.placed():
         made.add(shape, T, name)
     return made
 
 
-def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> Placements:
-    """Return the placements at the best of bases (M, 4), which differ by more than a hundredth of the reach or a degree."""
-    apart: list[np.ndarray] = []
-    for base in bases:
-        if all(
-            np.abs((base - one)[[0, 1, 3]]).max() > 0.01 * study.robot.reach or abs(base[2] - one[2]) > 0.0175
-            for one in apart
-        ):
-            apart.append(base)
+def _result(study: Candidates, count: int, ordered: bool) -> Placements:
+    """Return the placements at the best bases, which differ by more than a hundredth of the reach or a degree."""
+    reach = study.robot.reach
+    bases = study.apart(study.best(), np.array([0.01 * reach, 0.01 * reach, 0.0175, 0.01 * reach]), count + 3)
     measures = [
         (arm.tip, at, quality(arm, position_only=study.W[arm.tip].ndim == 2))
         for arm, at in zip(study.robot.arms, study.robot.places, strict=True)
         if arm.tip in study.W
     ]
-    found = [_placement(study, base, measures) for base in apart[: count + 3]]
+    found = [_placement(study, base, measures) for base in bases]
     found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
     if ordered:  # Paths are computed for the first few only; `rank` then prefers fewer reconfigurations.
         found = [replace(one, path=_followed(study, one)) for one in found[: place_search.SEARCH.followed]] + found[

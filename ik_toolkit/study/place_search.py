@@ -77,12 +77,13 @@ class Candidates:
         self.shapes = [(name, T.copy()) for name, _, T in placed]
         self.boxes = np.array([shape.corners() @ T[:3, :3].T + T[:3, 3] for _, shape, T in placed]).reshape(-1, 8, 3)
         self.rng = np.random.default_rng(options["seed"])
-        self.moving = np.setdiff1d(np.arange(robot.n), Solver(robot, **options).plan.held)
+        solver = Solver(robot, **options, avoid_collisions=False if scene is None else scene)
+        self.limited, self.moving = solver.robot, np.setdiff1d(np.arange(robot.n), solver.plan.held)
         self.tried: list[tuple[np.ndarray, np.ndarray]] = []
         self.full: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def run(self) -> np.ndarray:
-        """Return the best bases (M, 4), best first."""
+    def run(self) -> None:
+        """Examine bases; `best` then returns the best of them."""
         S, N = SEARCH, sum(map(len, self.W.values()))
         few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
         # widths of the first round of refinement: that of the region, but at most a share of the arm's reach
@@ -103,14 +104,11 @@ class Candidates:
             start, score = self.top(*put_together(self.full), S.keep)
             new = self.near(start[:3], width * 0.7 ** (k + 6), S.around)
             self.full.append((new, self.count(new, self.W, S.keep, score)))
-        return self.best(4 * S.keep)
 
-    def best(self, count: int) -> np.ndarray:
-        """Return the best bases (M, 4) so far; only those examined on all poses are considered, if there are any."""
-        found = self.full or self.tried
-        if not found:
-            return np.empty((0, 4))
-        return self.top(*put_together(found), count)[0]
+    def best(self) -> np.ndarray:
+        """Return the bases (M, 4) so far, best first; only those examined on all poses, if there are any."""
+        bases, score = put_together(self.full or self.tried)
+        return self.top(bases, score, len(bases))[0]
 
     @staticmethod
     def apart(bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
@@ -159,9 +157,9 @@ class Candidates:
                 part[look] = self.reach_beside(some[look], W, reached[look], q[look]).mean(axis=1)
                 best = np.sort([*best, *part[look]])[-keep:]
             share[a : a + once] = part
-        self.tried.append((bases, share))
-        if self.progress is not None:
-            self.progress(sum(len(one) for one, _ in self.tried))
+            self.tried.append((some, part))
+            if self.progress is not None:
+                self.progress(sum(len(one) for one, _ in self.tried))
         return share
 
     def reach(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +185,7 @@ class Candidates:
             base, pose = (np.repeat(x, tries) for x in np.nonzero((reached & ~free)[:, first : first + len(T)]))
             if len(base):
                 starts = q[base, first + pose]
-                starts[:, self.moving] = self.robot.random_q(self.rng, len(starts))[:, self.moving]
+                starts[:, self.moving] = self.limited.random_q(self.rng, len(starts))[:, self.moving]
                 good, found = self.solve(tip, in_base(bases, T)[base, pose], 1, q0=starts)
                 base, pose = base[good], first + pose[good]
                 clear = self.untouched(bases[base], found[good])

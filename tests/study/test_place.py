@@ -1,6 +1,7 @@
 """Where a robot should stand: as good as planted and random bases, true counts, obstacles, ranges, paths, helpful errors."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,9 +109,29 @@ def test_ordered_poses_are_followed(hydrolek):
     path = found[0].path
     assert path is not None and len(path.q) >= found[0].count == 10
     assert path.success
+    assert replace(found[0], path=None).rank < found[0].rank  # a place from which no path was searched comes later
 
 
-def test_ctrl_c_keeps_the_best_so_far(hydrolek):
+def test_narrowed_limits_hold_beside_obstacles(hydrolek):
+    """Also where the robot has narrowed limits of its own, and starts outside the limits are refused."""
+    W, name = sheet(hydrolek, np.eye(4))[::10], hydrolek.joint_names[0]
+    scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[3, :3, 3] - (0.35, 0.0, 0.0))
+    for robot, limits in ((hydrolek, (-0.2, 0.3)), (hydrolek.narrowed({name: (-0.3, 0.3)}), (-0.2, 0.2))):
+        best = ik.place(
+            robot,
+            W,
+            ((-0.2, -0.2), (0.2, 0.2)),
+            yaw=(-0.5, 0.5),
+            count=1,
+            limits={name: limits},
+            q0_outside="refuse",
+            avoid_collisions=scene,
+        )[0]
+        q = best.q[best.reached, 0]
+        assert best.count > 0 and limits[0] <= q.min() and q.max() <= limits[1]
+
+
+def test_ctrl_c_keeps_the_best_so_far(hydrolek, monkeypatch):
     def stop(done):
         if done > 500:
             raise KeyboardInterrupt
@@ -118,6 +139,10 @@ def test_ctrl_c_keeps_the_best_so_far(hydrolek):
     with pytest.raises(PlaceInterrupted) as interrupt:
         ik.place(hydrolek, sheet(hydrolek), progress=stop)
     assert interrupt.value.result[0].count > 0
+    monkeypatch.setattr("ik_toolkit.paths.solve_path.solve_path", lambda *_, **__: stop(np.inf))
+    with pytest.raises(PlaceInterrupted) as interrupt:
+        ik.place(hydrolek, sheet(hydrolek)[::6], ordered=True, count=1)
+    assert interrupt.value.result[0].count == 10 and interrupt.value.result[0].path is None
 
 
 def test_mistakes_are_named(hydrolek):
