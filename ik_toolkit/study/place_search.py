@@ -147,7 +147,7 @@ class Candidates:
         and of others with the shares `than`, keeps that larger share: it is not among the best either way.
         """
         share, best = np.zeros(len(bases)), np.sort(than)[-keep:]
-        once = max(1, 2**15 // sum(map(len, W.values())))
+        once = max(1, 2**13 // sum(map(len, W.values())))
         for a in range(0, len(bases), once):
             some = bases[a : a + once]
             reached, q = self.reach(some, W)
