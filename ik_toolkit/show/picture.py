@@ -178,9 +178,8 @@ def _filled(window: Window, camera: _Camera, W: int, H: int) -> tuple[np.ndarray
     cover = (near > 0).astype(float)
     for group in groups.values():
         layer = _layer(group, camera, W, H)
-        at = np.flatnonzero(
-            layer.near > 1.002 * near
-        )  # a tolerance, so that surfaces that coincide with a solid one are hidden
+        # The tolerance hides surfaces that coincide with a solid one.
+        at = np.flatnonzero(layer.near > 1.002 * near)
         share = group[0][0].opacity
         color[at] = share * layer.color[at] + (1.0 - share) * color[at]
         cover[at] = share + (1.0 - share) * cover[at]

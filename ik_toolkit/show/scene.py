@@ -29,7 +29,7 @@ MAX_GHOSTS = 12
 class Scene(InCell, SceneState):
     """The drawing of a robot and of what is around it. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-    Everything has a name, by which it is mapped, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
+    Everything has a name, by which it is moved, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
     them, `drawn()` returns all poses. Raises MissingExtra without meshcat or trimesh.
     """
 

@@ -198,8 +198,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
         if name not in NAMES:
             from .registry import solvers_with  # imported only for errors, because the registry loads each solver
 
-            near = near_match(name, (*parameters, "tolerance", *NAMES))
-            raise InvalidOption(f"there is no option '{name}'.{near}{solvers_with(name)}")
+            known = (*parameters, "tolerance", *NAMES)
+            raise InvalidOption(f"there is no option '{name}'.{near_match(name, known)}{solvers_with(name, known)}")
         if name in ("position_tolerance", "orientation_tolerance"):
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):

@@ -19,6 +19,7 @@ import math
 import re
 import sys
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -311,9 +312,13 @@ def _own(cls: type) -> Row:
     return Row(cls.__name__, target, summary, "a solver of your own", "", **{**kind, **said, "cls": cls})
 
 
-def solvers_with(parameter: str) -> str:
-    """Return a sentence that names our solvers with this parameter, or with one of nearly its name; '' if there are none."""
-    meant = nearest(parameter, sorted({field for row in ROWS for field in row.load()._fields}))
+def solvers_with(parameter: str, known: Iterable[str]) -> str:
+    """Return a sentence that names our solvers with this parameter, to end a message with, or ''.
+
+    A parameter that no solver has, and that is like none of the names `known` where it was given, may be another's, misspelled.
+    """
+    fields = sorted({field for row in ROWS for field in row.load()._fields})
+    meant = parameter if parameter in fields or nearest(parameter, known) else nearest(parameter, fields)
     owners = [row.name for row in ROWS if meant in row.load()._fields]
     return f" Solvers with '{meant}': {', '.join(owners)}." if owners else ""
 
@@ -325,8 +330,7 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
     for key, value in parameters.items():
         if key not in fields:
             hint = near_match(key, fields) if fields else " It has no parameters."
-            hint += "" if nearest(key, fields) else solvers_with(key)
-            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}")
+            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}{solvers_with(key, fields)}")
         if isinstance(value, str) and not isinstance(cls._field_defaults.get(key), str):
             wanted = "true or false" if isinstance(cls._field_defaults.get(key), bool) else "a number or an array"
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' takes {wanted}, not '{value}'")

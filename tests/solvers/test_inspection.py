@@ -298,3 +298,5 @@ def test_the_closed_form_takes_its_parameter_without_being_named(arm):
         ik.solve(ik.Robot.load("planar_3r"), (0.5, 0.2, 0.0), lift=0.25)
     with pytest.raises(ik.IKError, match="Solvers with 'lift': inspection"):
         ik.solve(arm, T, "lm", lif=0.25)
+    with pytest.raises(ik.IKError, match=r"Did you mean 'max_iterations'\?(?!.*Solvers with)"):
+        ik.solve(arm, T, "lm", maxiter=5)
