@@ -88,14 +88,15 @@ def test_positions_regions_yaw_and_height_are_kept(hydrolek):
 
 def test_obstacles_of_the_scene_count(hydrolek):
     W = sheet(hydrolek, np.eye(4))[::4]
-    where, asked = ((-0.6, -0.6), (0.6, 0.6)), {"yaw": (-0.5, 0.5), "count": 1}
-    scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[7, :3, 3] - (0.35, 0.0, 0.0), name="wall")
+    where, asked = ((-0.1, 0.1), (0.1, 0.3)), {"yaw": 0.3, "count": 1}
+    scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[7, :3, 3] - (0.25, 0.0, 0.0), name="wall")
     before = [T.copy() for _, _, T in scene.placed()]
     among = ik.place(hydrolek, W, where, avoid_collisions=scene, **asked)
     free, beside = ik.place(hydrolek, W, where, **asked)[0], among[0]
     local = (among.obstacles - before[0][:3, 3]) @ before[0][:3, :3]
     assert np.allclose(np.abs(local), 0.5 * np.array([0.15, 0.6, 0.4])) and ik.plot(among).axes
-    assert 0 < beside.count <= free.count and beside.clearance > 0.0
+    assert 0 < beside.count < free.count and beside.clearance > 0.0
+    assert abs(len(W) * among.shares.max() - beside.count) < 1.5  # as many as the few attempts of the search reach
     judge = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), np.linalg.inv(beside.T_world_base) @ before[0])
     assert not any(judge.collides(q) for q in beside.q[beside.reached])
     assert all(
