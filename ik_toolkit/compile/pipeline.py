@@ -170,6 +170,10 @@ class PartLibrary(JITCodeLibrary):
 class KernelLibrary(JITCodeLibrary):
     """Code of a kernel, into which every part that it needs is linked once."""
 
+    # LLVM's optimisations that are left out: without them the solvers are as fast, and each after the first compiles in two thirds
+    # of the time.
+    left_out: tuple[str, ...] = ("loop_interleaving", "slp_vectorization")
+
     def finalize(self) -> None:
         self._raise_if_finalized()
         link(self._final_module, self._linking_libraries)
@@ -183,17 +187,10 @@ class KernelLibrary(JITCodeLibrary):
             passes.run(self._final_module, builder)
 
     def _last_passes(self) -> tuple[Any, Any]:
-        """Return the passes that optimise fully, and their builder.
-
-        Loops over a robot's joints are too short to be interleaved; without the copies a search is as fast and compiles in two
-        thirds of the time.
-        """
+        """Return the passes that optimise fully, without those in `left_out`, and their builder."""
         options = create_pipeline_tuning_options(LEVEL)
-        options.loop_interleaving = False
-        return self._passes(options)
-
-    def _passes(self, options: Any) -> tuple[Any, Any]:
-        """Return LLVM's passes with these options, and their builder."""
+        for name in self.left_out:
+            setattr(options, name, False)
         builder = create_pass_builder(self._codegen._tm, options)
         return builder.getModulePassManager(), builder
 
@@ -204,10 +201,7 @@ class SmallLibrary(KernelLibrary):
     The copies would double the code of a tracker or a path, which is no faster with them; a search is a fifth faster.
     """
 
-    def _last_passes(self) -> tuple[Any, Any]:
-        options = create_pipeline_tuning_options(LEVEL)
-        options.loop_unrolling = options.loop_vectorization = options.loop_interleaving = False
-        return self._passes(options)
+    left_out = (*KernelLibrary.left_out, "loop_unrolling", "loop_vectorization")
 
 
 def link(module: Any, libraries: list) -> None:
