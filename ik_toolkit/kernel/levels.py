@@ -48,6 +48,8 @@ class LevelSteps(NamedTuple):
     # poses that planar_3r reaches are missed
     at_once_few: int = 3
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
+    # the same from six joints on, where fewer find as many, and scanning 2048 takes as long as five iterations
+    table_six: int = 512
     known: int = 8  # attempts after which level 0 is taken to be out of reach
     # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
     decay: float = 0.5
@@ -105,7 +107,7 @@ def slope_of_level(p, c, level, out):
 
 @inner
 def size_of_level(p, e, c, level):
-    """Return the squared error of level c, or its tolerance where that is larger.
+    """Return the squared error of level c, or its tolerance where that is larger, and at most 1.
 
     The gradient is compared with it: near a pose that is almost reached, along a direction that hardly turns the tip, the gradient
     alone is small long before the error is.
@@ -115,7 +117,7 @@ def size_of_level(p, e, c, level):
         if level[g] == c:
             value += p.group(e, g)
             allowed += p.allowed(g)
-    return max(value, allowed)
+    return min(max(value, allowed), 1.0)
 
 
 @inner

@@ -79,7 +79,7 @@ class SQP(NamedTuple):
         chain = robot.chain
         box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
         low, span, home = (np.array([read(i) for i in range(robot.n)]) for read in (box.low, box.span, box.home))
-        starts = known_configurations(low, low + span, home, QUADRATIC.table)
+        starts = known_configurations(low, low + span, home, QUADRATIC.table if robot.n < 6 else QUADRATIC.table_six)
         return posture_groups(starts) * chain.unit
 
     def refuses(self, asked: Asked) -> str:
