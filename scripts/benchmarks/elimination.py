@@ -26,6 +26,7 @@ from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute
 from ik_toolkit.solvers.closed_form.families import moving_places
 
 NAMED = ("hydrolek_7w", "ur3", "ur5", "ur10", "z1", "kinova", "talos_arm")
+LIMITED = ("ur3_limited", "ur5_limited", "ur10_limited")  # half of each joint's turn
 # Structures of a random arm, joints counted from 0: parN, meetN (in pairs), sphN: these axes are parallel, meet, have one point.
 KINDS = (
     "general par01 par12 par23 par34 par45 par012 par123 par234 par345 meet01 meet12 meet23 meet34 meet45 meet0123 meet1234 "
@@ -283,9 +284,7 @@ def main() -> None:
             print(HEAD, *(row.row(key) for key, row in shown.items()), sep="\n", flush=True)
             data[name] = {key: row._asdict() for key, row in rows.items()}
         else:
-            data[name] = (
-                proofs(NAMED[:1] + NAMED[2:3] + NAMED[4:6], n, seed) if name == "proofs" else times(NAMED[:6], seed)
-            )
+            data[name] = proofs((*NAMED, *LIMITED), n, seed) if name == "proofs" else times(NAMED[:6], seed)
             print(json.dumps(data[name], indent=1), flush=True)
     if asked.output is not None:
         asked.output.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
