@@ -39,8 +39,9 @@ from C++, with a filter for joint limits, it is not measured, because the packag
 done three times with different targets: times and ratios are medians over these rounds, successes are added up.
 """
 EVERY = """\
-Packages that list all solutions of an arm with six joints. UR5 has three parallel axes, Z1 a wrist. Only `ik_all` applies limits
-and says whether its list is complete. Targets, timing and judgement are those of the single solves.
+Packages that list all solutions of an arm with six joints. UR5 has three parallel axes, Z1 a wrist; the HydroLek has neither, so
+EAIK cannot list its solutions and `ik_all` finds them by elimination. Only `ik_all` applies limits and says whether its list is
+complete. Targets, timing and judgement are those of the single solves.
 """
 SERVO = """\
 Simulated time, 100 samples a second. Every method gets the same stream of targets (without velocities), the same start and the same
