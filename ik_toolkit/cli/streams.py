@@ -46,6 +46,10 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
     if not places:
         yield [*arguments]
         return
+    for k in places:
+        name = arguments[k][:-2] or arguments[k - 1]
+        if re.fullmatch("-o|--(output|html|plot|csv|latex|page)", name):
+            raise InvalidOption(f"{name} takes the name of a file, not -, which stands for standard input")
     if len(places) > 1:
         raise InvalidOption("- stands for standard input, which can be read only once; name a file in the other place")
     with tempfile.TemporaryDirectory(prefix="ik_stdin_") as folder:
@@ -54,6 +58,8 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
             shutil.copyfileobj(sys.stdin.buffer, file)
         with made.open("rb") as file:
             start = file.read(10_000).lstrip(b"\xef\xbb\xbf \t\r\n")
+        if not start:
+            raise InvalidOption("standard input is empty")
         named = re.search(rb"""<(?:robot|mujoco)\b[^>]*?\b(?:name|model)\s*=\s*["']([\w.-]+)["']""", start)
         kinds = {rb"\A<": ".urdf", rb"\APK": ".npz", rb"(?m)^\w+ *= ": ".toml", rb"\A[{[]": ".json"}
         kind = next((kind for mark, kind in kinds.items() if re.search(mark, start)), ".csv")

@@ -5,7 +5,7 @@ by far less than its tolerance, so that the interpolation everywhere else is uni
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from time import perf_counter
 from typing import Any, Unpack
@@ -94,8 +94,8 @@ def solve_path(
         threads: number of threads; default all cores.
         progress: function (fraction, text) that is called regularly.
         options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, priority, relative_to,
-            joint_weights. With a priority the path leads through the nearest poses that one posture reaches; they are
-            the `targets` of the result, whose errors are those from the poses asked for.
+            joint_weights. With a priority the path leads through the poses if all their levels can be met, else the nearest
+            that one posture reaches; these are the result's `targets`, and its errors those from the poses asked for.
 
     Returns:
         The best motion found. That a path cannot be followed is a status of the result.
@@ -109,12 +109,7 @@ def solve_path(
     began = perf_counter()
     require_robot(robot)
     allowed = _allowed(reconfigurations)
-    for name in NOT_HERE:
-        if name in options:
-            raise InvalidOption(
-                f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
-            )
-    check_progress(progress, "a fraction and a text")
+    _check(options, progress)
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
@@ -122,12 +117,16 @@ def solve_path(
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
-    wanted, places = None, None
-    if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
-        dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
-        wanted, T = T, nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, q0)
-        exact: dict[str, Any] = {**options, "priority": None, "slack": None}
-        solver = Solver(robot, seed=seed, **exact)
+    wanted, places, met = None, None, None
+    if solver.options.priority is not None:
+        given = dict(
+            q0=q0, q_end=q_end, max_step=max_step, path_tolerance=path_tolerance, avoid_collisions=avoid_collisions,
+            reconfigurations=reconfigurations, seed=seed, threads=threads, progress=progress, **options,
+        )  # fmt: skip
+        met, solver, nearest, places = _by_levels(solver, T, kinds, poses, given)
+        if met is not None and not met.reconfigurations:
+            return _against(met, T, notice)
+        wanted, T = T, nearest
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
@@ -162,15 +161,47 @@ def solve_path(
             _share_bound(search, other)
             both = (_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other))
             made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
-        return _against(replace(made, tolerance_given=path_tolerance is not None), wanted, notice)
+        made = replace(made, tolerance_given=path_tolerance is not None)
+        return _against(_fewer(met, made), wanted, notice)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
                 raise
             search.progress = _silent
             search.link()
-        partial = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
-        raise PathInterrupted(_against(partial, wanted)) from None
+        made = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
+        raise PathInterrupted(_against(made, wanted)) from None
+
+
+def _check(options: Mapping[str, Any], progress: Any) -> None:
+    """Raise InvalidOption for an option that a path does not take, or a progress that cannot be called."""
+    for name in NOT_HERE:
+        if name in options:
+            raise InvalidOption(
+                f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
+            )
+    check_progress(progress, "a fraction and a text")
+
+
+def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict[str, Any]) -> tuple:
+    """Return a path on which every level is met, or None, a Solver without priorities, poses within reach and their places."""
+    robot, given = solver.robot, given | {"priority": None, "slack": None}
+    options = {name: value for name, value in given.items() if name in PathOptions.__annotations__}
+    strict, met = Solver(robot, seed=given["seed"], **options), None
+    if not freedom(strict.plan_for(kinds), kinds).lacks:
+        made = solve_path(robot, poses, **given)
+        met = made if made.success else None
+    dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
+    if met is None or met.reconfigurations:
+        T = nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, given["q0"])
+    return met, strict, T, places
+
+
+def _fewer(met: PathResult | None, made: PathResult) -> PathResult:
+    """Return the path on which every level is met, unless it needs more reconfigurations than the other one."""
+    if met is None or (made.success and len(made.reconfigurations) < len(met.reconfigurations)):
+        return made
+    return met
 
 
 def _start(solver: Solver, kinds: tuple, q0: Any) -> tuple[np.ndarray | None, str]:

@@ -108,7 +108,7 @@ def _find(
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
     if all_turns:
-        found = on_all_turns(found, plan, start[0], count)
+        found = on_all_turns(found, plan, T[0], kinds, start[0], count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
@@ -147,24 +147,35 @@ def _find(
     return found
 
 
-def on_all_turns(found: Solutions, plan: Plan, start: np.ndarray, count: int) -> Solutions:
-    """Return each solution with all shifts by 2 pi k inside the limits, nearest to start (n,) first; at most `count` of them."""
+def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions:
+    """Return each solution with all shifts by 2 pi k inside the limits, nearest to start (n,) first; at most `count` of them.
+
+    Where solutions merge they are known to about 1e-7 rad, so one beside a limit is put on it and kept if it meets the tolerances.
+    """
     robot = plan.robot
     if not plan.options.limits:
         raise InvalidOption("all_turns lists the full turns inside the limits, so it cannot be given with limits=False")
-    low, high, rows, Q = robot.lower - SNAP, robot.upper + SNAP, [], []
+    low, high, rows, Q = robot.lower - BORDER, robot.upper + BORDER, [], []
     turning = np.flatnonzero((robot.chain.turns > 0) & np.isfinite(low) & np.isfinite(high))
+    lost = False
     for k, q in enumerate(found.q):
         first, last = np.ceil((low - q) / TAU)[turning], np.floor((high - q) / TAU)[turning]
         for turns in product(*(np.arange(a, b + 1.0) for a, b in zip(first, last, strict=True))):
-            rows.append(k)
-            Q.append(q.copy())
-            Q[-1][turning] += TAU * np.array(turns)
+            shifted = q.copy()
+            shifted[turning] += TAU * np.array(turns)
+            legal = np.clip(shifted, robot.lower, robot.upper)
+            moved = np.abs(legal - shifted).max()
+            if moved <= SNAP or confirmed(plan, legal, T, kinds):
+                rows.append(k)
+                Q.append(legal)
+            else:
+                lost |= moved < APART
     every = found.keep(np.array(rows, dtype=int))
-    every._put(q=np.clip(np.array(Q).reshape(-1, robot.n), robot.lower, robot.upper))
+    every._put(q=np.array(Q).reshape(-1, robot.n))
     every._put(distance=np.linalg.norm((every.q - start) / robot.chain.unit, axis=1))
     order = np.argsort(every.distance, kind="stable")
-    every._put(message=f"{every.message}; {len(Q)} on all full turns", complete=found.complete and len(Q) <= count)
+    complete = found.complete and len(Q) <= count and not lost
+    every._put(message=f"{every.message}; {len(Q)} on all full turns", complete=complete)
     return every.keep(order[:count])
 
 

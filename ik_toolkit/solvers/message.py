@@ -14,7 +14,7 @@ from ..text import angle, figure, length
 from .decide import blocked
 from .options import GROUPS
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
-from .task import Counts, all_errors, counted_rows, what_counts
+from .task import all_errors, counted_rows, what_counts
 
 ATTEMPTS = 20  # number of starts of a search for the position of a pose alone
 FAINT = 1e-3  # weight of the orientation in a search for the position, so that the position comes first
@@ -58,7 +58,7 @@ def sentence(result: Any) -> str:
         touching = " and ".join(result.collision)
         text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
-    if row[AT.excess] <= DECIDED:
+    if row[AT.excess] <= DECIDED and status != Status.CHECK_FAILED:
         return _decided_says(result, left)
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
@@ -107,7 +107,8 @@ def _joints(n: int) -> str:
 def _decided_says(result: Any, left: str) -> str:
     """Say what the elimination found: a solution, that there is none, or which limit all solutions break."""
     if result._of.row[AT.excess] == NEAREST:
-        return f"the nearest of all solutions within the limits (certified by elimination); residual {left}"
+        within = " within the limits" * result._of.plan.options.limits
+        return f"the nearest of all solutions{within} (certified by elimination); residual {left}"
     if result.status == Status.CONVERGED:
         return f"found by elimination after {_starts(result.restarts + 1)} of the search; residual {left}"
     least = blocked(result)
@@ -128,12 +129,13 @@ def _cause(result: Any) -> str:
     """Say what keeps the arm from the target, as far as it is known, and which part of the target it can meet; or return ''."""
     if result.status == Status.UNREACHABLE and max(result._of.excess()) > FAR_AWAY * result.robot.reach:
         return "were millimetres meant?"
-    if result.status not in SHORT or result._of.plan.options.priority is not None:
+    if result.status not in SHORT:
         return ""
-    outside = _outside(result)
+    ordered = result._of.plan.options.priority is not None  # lower levels may be missed, so few joints are no cause
+    outside = "" if ordered else _outside(result)
     blocked = outside or result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
-    never, few = ([], "") if blocked else (impossible(result), too_few_joints(result))
-    if not never and not few and result.restarts == 0:
+    never, few = [] if blocked else impossible(result), "" if blocked or ordered else too_few_joints(result)
+    if not never and (ordered or (not few and result.restarts == 0)):
         return ""  # a single attempt proves nothing about the arm
     if outside:
         return f"{outside}; widen that limit, or move the target"
@@ -142,7 +144,8 @@ def _cause(result: Any) -> str:
         if never or few
         else ADVICE[result.status]
     )
-    return "; ".join(filter(None, [*never, few, position_alone(result, bool(never)), advice]))
+    alone = "" if ordered else position_alone(result, bool(never))
+    return "; ".join(filter(None, [*never, few, alone, advice]))
 
 
 def _outside(result: Any) -> str:
@@ -278,11 +281,14 @@ def impossible(result: Any) -> list[str]:
     given = zip(result.robot.arms, of.kinds, of.T.reshape(-1, 4, 4), what_counts(result.robot, o), strict=True)
     for arm, kind, T, counts in given:
         free = kind[1] if isinstance(kind, tuple) else counts.free_turn
-        if kind == FREE or o.relative_to or counts != Counts(None, None, counts.free_turn, counts.frame):
+        first = {group for tip, group in o.priority[0] if tip in ("", arm.tip)} if o.priority else set(GROUPS)
+        if kind == FREE or o.relative_to or counts.mask is not None or not first:
             continue
-        target = T[:3, 3] if kind == POSITION else T
+        target = T[:3, 3] if kind == POSITION or GROUPS[1] not in first else T
+        allowed = np.linalg.norm(np.reshape(counts.slack or (0.0,) * 6, (2, 3)), axis=1)
+        position = o.position_tolerance + allowed[0] if GROUPS[0] in first else np.inf
         at = f"{arm.tip}: " if len(of.kinds) > 1 else ""
-        never = arm.mobility.never(target, (o.position_tolerance, o.orientation_tolerance), free)
+        never = arm.mobility.never(target, (position, o.orientation_tolerance + allowed[1]), free)
         found += [at + text for text in never]
     return found
 

@@ -36,15 +36,15 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """How to run a solver.
 
-    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
-    restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
-    attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the same
-    answer again. At least 256 evaluations are always made. seed: number that fixes the random starts. length_scale: after a failure
-    q has the least error nearby, in which a position error of this length [m] counts as much as one radian (None: the robot's
-    reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair
-    of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may go on from the other end of its
-    range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside:
-    'clamp' (with a notice) or 'refuse'.
+    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs, 1e-14 or more. max_iterations: steps per
+    attempt; restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
+    all attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the
+    same answer again. At least 256 evaluations are always made. seed: number that fixes the random starts. length_scale: after a
+    failure q has the least error nearby, in which a position error of this length [m] counts as much as one radian (None: the
+    robot's reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or
+    a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may go on from the other end
+    of its range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop).
+    q0_outside: 'clamp' (with a notice) or 'refuse'.
 
     These options say which part of the errors counts. A tip has the errors x, y, z [m] (target - tip) and rx, ry, rz [rad] (the
     rotation vector left), along the axes of `frame`: 'base', 'tip' or 'target'. First, free_turn is a tip axis ("z", or three
@@ -201,7 +201,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             known = (*parameters, "tolerance", *NAMES)
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, known)}{solvers_with(name, known)}")
         if name in ("position_tolerance", "orientation_tolerance"):
-            values[name] = _number(name, value, 0.0, math.inf)
+            values[name] = _number(name, value, 1e-14, math.inf)  # rounding hides less
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
             if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed

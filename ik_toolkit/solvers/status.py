@@ -43,8 +43,9 @@ def is_proven(status: Any, excess: Any, plan: Any) -> Any:
     said = plan.row.closed & (status == Status.LIMIT_BLOCKED) & (excess != SEARCHED)
     if plan.row.closed and plan.robot.slides.any() and not plan.rule.held(plan.robot):
         said &= excess > 0.0
-    unsolved = (excess == DECIDED) & (status != Status.CONVERGED)
-    return said | (status == Status.UNREACHABLE) | (excess == NEAREST) | unsolved
+    blocked = (excess == DECIDED) & (status == Status.LIMIT_BLOCKED)
+    nearest = (excess == NEAREST) & (status == Status.CONVERGED)
+    return said | (status == Status.UNREACHABLE) | nearest | blocked
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:

@@ -51,7 +51,7 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         ([*SOLVE, "-p", "dampng=1"], "Did you mean 'damping'"),
         ([*SOLVE, "-p", "damping"], "-p takes NAME=VALUE"),
         ([*SOLVE, "-p", "damping=much"], "takes a number"),
-        ([*SOLVE, "--tolerance", "-1"], "must be between 0"),
+        ([*SOLVE, "--tolerance", "-1"], "must be between 1e-14"),
         ([*SOLVE, "--tolerance", "small"], "Invalid value for '--tolerance'"),
         ([*SOLVE, "--max-iterations", "-5"], "--max-iterations"),
         ([*SOLVE, "--tip", "tol"], "Did you mean 'tool'"),

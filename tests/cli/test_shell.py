@@ -108,9 +108,19 @@ def test_a_robot_from_standard_input(pipe, run):
     assert answer == json.loads(expected)
     assert pipe(text, "check", "-")[:2] == run("check", shipped_robots()[name].path)[:2]
     assert pipe("﻿ \n<mujoco model='m'>", "info", "-")[0] == 2
-    assert pipe("", "info", "-")[0] == 2
+    assert pipe("\n", "info", "-") == (2, "", "ik: standard input is empty\n")
     code, _, err = pipe("<robot name='a/../b'/>", "info", "-")  # no path for a file name
     assert code == 2 and "stdin" in err + "stdin"
+
+
+@pytest.mark.parametrize("given", [("-o", "-"), ("--output=-",), ("--html", "-")])
+def test_nothing_is_written_to_standard_input(given, pipe, tmp_path):
+    """A - is standard input everywhere: solutions written to its temporary file would be gone."""
+    poses = tmp_path / "poses.csv"
+    poses.write_text("x,y,z\n1,0.1,0.2\n")
+    for targets in (poses, "-"):
+        code, out, err = pipe("x,y,z\n1,0.1,0.2\n", "solve", "hydrolek_7w", "--targets", targets, *given)
+        assert code == 2 and not out and f"{given[0].partition('=')[0]} takes the name of a file, not -" in err
 
 
 def test_targets_from_standard_input(pipe, tmp_path):

@@ -277,3 +277,20 @@ def test_a_failed_row_explains_itself():
     T = skewed(arm, np.random.default_rng(7), 0.6).homogeneous
     batch = ik.solve_batch(arm, np.array([T, T]), q0=arm.home)
     assert str(batch[1].explain()) == str(ik.solve(arm, T, "lm", q0=arm.home).explain())
+
+
+def test_the_tilt_is_the_cause_also_with_slack_or_the_orientation_first():
+    """A tip whose axis cannot tilt misses the first level, and no restarts help; within its slack nothing is blamed."""
+    arm = ik.Robot.load(SCARA)
+    T = skewed(arm, np.random.default_rng(6), 0.0)
+    T.rotation = T.rotation @ pin.exp3(np.array([0.3, 0.0, 0.0]))
+    slack = (0.01, 0.0, 0.0, 0.1, 0.1, 0.1)
+    for given in (dict(priority="orientation"), dict(slack=slack)):
+        assert "17.2 deg from it; free what cannot be met" in ik.solve(arm, T, **given).message
+    assert "always points" not in ik.solve(arm, T, priority="position").message
+    assert ik.solve(arm, T, slack=(0.0, 0.0, 0.0, 0.3, 0.3, 0.3)).success
+    flat = ik.Robot.load("planar_3r")
+    above = flat.fk(flat.home).translation + np.array([0.0, 0.0, 0.2])
+    assert "200 mm off" in ik.solve(flat, above, priority="position").message
+    assert "200 mm off" in ik.solve(flat, above, slack=(0.1, 0.1, 0.1, 0, 0, 0)).message
+    assert ik.solve(flat, above, slack=(0, 0, 0.3, 0, 0, 0)).success

@@ -89,10 +89,11 @@ def test_all_turns_are_listed_within_limits():
         ik.solve_all(robot, T, all_turns=True, limits=False)
 
 
-def test_a_solution_on_a_limit_where_two_merge_is_listed():
+@pytest.mark.parametrize(("end", "all_turns"), [(0.0, False), (2.0 * np.pi, True)])
+def test_a_solution_on_a_limit_where_two_merge_is_listed(end, all_turns):
     """The straight elbow is a limit: rounding puts the two solutions that merge there on either side of it."""
     joints = [
-        ("revolute", xyz, (0, 0, 0), axis, -2.9, 0.0 if k == 2 else 2.9)
+        ("revolute", xyz, (0, 0, 0), axis, -2.9, end if k == 2 else 2.9)
         for k, (xyz, axis) in enumerate(
             [((0, 0, 0.1), (0, 0, 1)), ((0, 0.1, 0), (0, 1, 0)), ((0.4, 0, 0), (0, 1, 0)), ((0.4, 0, 0), (0, 1, 0)),
              ((0, 0.1, 0), (0, 0, 1)), ((0, 0, 0.1), (0, 1, 0))]
@@ -102,12 +103,41 @@ def test_a_solution_on_a_limit_where_two_merge_is_listed():
     rng, complete = np.random.default_rng(30), 0
     for _ in range(60):
         q = robot.random_q(rng)
-        q[2] = 0.0
-        found = ik.solve_all(robot, robot.fk(q))
+        q[2] = end
+        found = ik.solve_all(robot, robot.fk(q), all_turns=all_turns)
         if found.complete:
             complete += 1
             assert len(found) and np.abs(found.q - q).max(axis=1).min() < 1e-3
     assert complete > 20
+
+
+def test_a_tolerance_below_rounding_is_refused():
+    """No answer would keep it, so every target would be "proven" unreachable."""
+    robot = robots.load("hydrolek_7w")
+    for name in ("tolerance", "position_tolerance", "orientation_tolerance"):
+        with pytest.raises(InvalidOption, match="_tolerance must be between 1e-14 and inf, not 0"):
+            ik.solve(robot, robot.fk(robot.home), **{name: 0})
+    found = [ik.solve_batch(robot, robots.sample(robot, 60, seed=33)[1], tolerance=t) for t in (1e-14, 1e-13)]
+    assert not any(batch.proven.any() for batch in found)
+
+
+def test_an_answer_that_pinocchio_does_not_confirm_proves_nothing():
+    """An arm of a hundred kilometres is computed to a hundredth of a micrometre, so most answers are not confirmed."""
+    joints = [
+        ("revolute", (4e4, 0, 3e4), (turn, 0, 0), (0, 0, 1), -2.9, 2.9) for turn in (0, 1.5, 0.4, -1.3, 1.5, -1.2)
+    ]
+    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 1e4, 0), (0, 0, 0))), tip="tip")
+    results = [ik.solve(robot, robot.fk(q), tolerance=1e-11) for q in robot.random_q(np.random.default_rng(34), 40)]
+    failed = [result for result in results if result.status == ik.Status.CHECK_FAILED]
+    assert failed and not any(result.proven for result in results if not result.success)
+    assert all("Pinocchio does not confirm it" in result.message for result in failed)
+
+
+def test_without_limits_the_nearest_is_not_said_to_be_within_them():
+    robot = robots.load("hydrolek_7w")
+    far = robot.fk(robot.upper + 0.3)
+    result = ik.solve(robot, far, closest=True, limits=False)
+    assert result.proven and "the nearest of all solutions (certified" in result.message
 
 
 def test_loose_tolerances_prove_nothing():
