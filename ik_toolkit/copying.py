@@ -40,7 +40,7 @@ class Holds:
         return made
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Prepare to pickle; raise InvalidOption if another process would not find the function."""
+        """Return the pickled form; raise InvalidOption if another process would not find the function."""
         if self.FUNCTION:
             importable(getattr(self, self.FUNCTION), f"the {self.FUNCTION} of this {type(self).__name__.lower()}")
         return super().__reduce_ex__(protocol)
@@ -91,7 +91,8 @@ class ReadOnly:
 
     __slots__ = ()
     _LOOSE: ClassVar[tuple[str, ...]] = ()  # public names that can still be assigned
-    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}  # advice in the error, by name
+    # advice for the error message, by name of the attribute; "" is for all others
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
     _sealed = False
 
     def _seal(self) -> None:

@@ -20,7 +20,7 @@ SHOWN = 100  # longest name [characters] that is compared or shown in full; comp
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
 FAR_AWAY = 50.0  # [arm reaches] a target farther away was probably given in millimetres
 FEW_TURNS = 4.0 * math.pi  # [rad] a larger angle was probably given in degrees
-DOUBTED: set[str] = set()  # subjects of warnings about units given so far, so that none is repeated
+DOUBTED: set[str] = set()  # subjects of all warnings about units so far, so that no warning is repeated
 # A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
@@ -158,7 +158,7 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
     Raises InvalidOption, "WHAT must be ..., not VALUE", if it is no whole number or less than `least`.
     """
-    if type(value) is int and least <= value < 2**53:  # as exact as a float
+    if type(value) is int and least <= value < 2**53:  # accept only whole numbers that a float represents exactly
         return value
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)

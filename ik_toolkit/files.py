@@ -23,7 +23,7 @@ FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginning of a cell that a spreadsheet
 # The arrays of a file may take UNPACKED bytes, plus EXPANSION times the file's size; poses compress to a fifth at best.
 UNPACKED, EXPANSION = 2**26, 20
 NAMES = 2**18  # largest array of names [bytes]
-NUMBERS, TEXTS = "fiu", "U"  # kinds of numpy dtype that are accepted as numbers, and as names
+NUMBERS, TEXTS = "fiu", "U"  # numpy's letters for the kinds of dtype that are accepted as numbers, and as names
 HEADER = 2**16  # largest header of an array [bytes], because numpy reads it before any check
 JSON_BYTES = 20_000_000  # largest JSON file [bytes]; reading takes 20 times as much memory, and 4 s
 
@@ -61,7 +61,8 @@ def require_place(path: str | Path) -> None:
         close = nearest(missing.name, folders)
         meant = f". Did you mean '{shown.with_name(close)}'?" if close else ""
         raise InvalidOption(f"cannot write '{file}': there is no folder '{shown}'{meant}")
-    for one in (place, place.parent) if place.is_file() else (place.parent,):  # the folder gets a temporary file
+    # the folder must be writable, too, because a temporary file is made in it
+    for one in (place, place.parent) if place.is_file() else (place.parent,):
         if not os.access(one, os.W_OK):
             raise InvalidOption(f"cannot write '{file}': no permission to write '{one}'")
 
@@ -129,7 +130,7 @@ class WholeFile:
         return kept
 
     def drop(self) -> None:
-        """Close and remove the temporary file."""
+        """Close the stream and remove the temporary file."""
         with suppress(OSError):
             self.stream.close()
         if self._place is not None:
@@ -137,7 +138,7 @@ class WholeFile:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Make errors of the block name the requested file instead of the temporary one."""
+        """Context manager: errors raised in the block name the requested file instead of the temporary one."""
         try:
             yield
         except OSError as error:

@@ -139,7 +139,10 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """List of (target, start, result) with wide tolerances (LOOSE); half of the starts are near a solution, half are home."""
+        """List of (target, start, result) of solves with wide tolerances (LOOSE).
+
+        Half of the starts are near a solution, half are home.
+        """
         solver, robot, rng = self.bind(**LOOSE), self.robot, np.random.default_rng(self.seed)
         rows = []
         for k in range(SAMPLES):
@@ -237,7 +240,7 @@ def gives_the_same_bytes_again(case: Case) -> None:
 
 
 def solves_an_easy_target(case: Case) -> None:
-    """A solver reaches some target a hundredth of a radian (or metre) away, and any target at its start without a step."""
+    """A solver reaches some target a hundredth of a radian (or metre) away, and takes no step if its start meets the target."""
     solver, rng, solved = case.bind(tolerance=1e-3), np.random.default_rng(case.seed), 0
     robot = case.robot
     for _ in range(SAMPLES):
@@ -326,7 +329,7 @@ def holds_joints(case: Case) -> None:
 
 
 def solves_batches(case: Case) -> None:
-    """A batch keeps the same promises for every target, with exactly the same results from one thread and from two."""
+    """Every row of a batch meets the contract as a single solve does, and one thread and two give exactly the same results."""
     Q = [case.robot.random_q(np.random.default_rng([case.seed, k])) for k in range(SAMPLES)]
     targets = [case.target(q) for q in Q]
     several = isinstance(targets[0], dict)

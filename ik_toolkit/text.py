@@ -40,7 +40,7 @@ def first_few(words: Sequence[str], most: int = 5) -> str:
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """Write a number with significant digits as a person does: 3880, 0.0012, 2.5e-6."""
+    """Write a number, rounded to significant digits, as a person would: 3880, 0.0012, 2.5e-6."""
     text = f"{value:.{digits}g}"
     head, _, power = text.partition("e")
     if not power:
@@ -96,7 +96,7 @@ def numbers(text: str) -> list[float] | None:
 def with_points(text: str) -> str:
     """Return a text with decimal commas ('0,5 0 0,3', '1,5;0') replaced by points, or '' if they do not look like decimal commas.
 
-    In '1,1,1 0,0,0' they do not, because a word with two commas is no number.
+    The commas in '1,1,1 0,0,0' are not decimal commas, because a word with two commas is no number.
     """
     words = text.replace(";", " ").split()
     decimals = [word for word in words if "," in word]
@@ -107,7 +107,7 @@ def with_points(text: str) -> str:
 
 
 def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
-    """Return a hint on decimal commas if a text has an allowed number of numbers once its commas are read so, or ''."""
+    """Return a hint about decimal commas if a text has an allowed count of numbers once its commas are read that way, or ''."""
     pointed = with_points(text)
     fits = pointed and len(numbers(pointed) or []) in sizes
     return f" (a comma separates numbers); write decimals with a point: {what} {pointed}" if fits else ""

@@ -10,7 +10,7 @@ from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
 LATE = 5.0  # largest ratio of a step to the first one; longer steps are divided, so that joint limits are kept
 MOST_PARTS = 100_000  # largest number of parts of a step; so many take some seconds
-# option values that only one function accepts, with its name for the error messages of other functions
+# option values that only one function accepts, each with the name of that function for the error messages of others
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 
@@ -24,7 +24,7 @@ def number(value: Any, name: str) -> float:
 
 def positive(value: Any, name: str) -> float:
     """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is not."""
-    # A float is checked faster, once in every control step.
+    # a shortcut for floats, because this check runs in every control step
     found = value if type(value) is float else number(value, name)
     if not 0.0 < found < math.inf:
         raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")

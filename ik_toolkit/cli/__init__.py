@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
-    came: list[int] = []  # signals that ended the command
+    came: list[int] = []  # signals received so far that ended the command
     if argv is None:
         first_use.allow()
     try:
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(came)
     except Exception as error:
-        if came:  # after a dropped KeyboardInterrupt anything may fail
+        if came:  # after a dropped KeyboardInterrupt any error may be a consequence of it
             return _stopped(came)
         if debug:
             raise
@@ -111,7 +111,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "ik"
         option = getattr(error, "option_name", None)
-        if context and option and not getattr(error, "possibilities", True):  # click found no similar option
+        if context and option and not getattr(error, "possibilities", True):  # click has not suggested a similar option
             names = [name for parameter in context.command.params for name in parameter.opts]
             error.possibilities = [one for one in names if sorted(one.split("-")) == sorted(option.split("-"))]  # type: ignore[attr-defined]
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]

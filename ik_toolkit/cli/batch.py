@@ -77,7 +77,7 @@ class Solutions:
                 self.close()
                 self.file.finish()
             elif self.count and not self.file.stream.closed:
-                with contextlib.suppress(OSError):  # the disk is full; rows written completely are kept
+                with contextlib.suppress(OSError):  # the disk may be full; rows that were written completely are kept
                     self.close()
                 if kept := self.file.keep(PARTIAL):
                     notice(f"partial: the first {self.count} solutions are in {kept}")

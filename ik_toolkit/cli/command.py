@@ -125,7 +125,8 @@ def add_commands(app: typer.Typer, module: Any) -> None:
     """Add the commands of a module to the command line program."""
     for one in vars(module).values():
         if getattr(one, "is_command", False) and one.__module__ == module.__name__:
-            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")  # None under python -OO
+            # the docstring is None under python -OO
+            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
 
 
@@ -154,7 +155,7 @@ def _same_file(one: str | Path, other: str | Path) -> bool:
 
 
 def above_zero(value: float, name: str) -> float:
-    """Return the value of an option. Raises InvalidOption unless it is positive and finite."""
+    """Return the value of an option unchanged. Raises InvalidOption unless the value is positive and finite."""
     if not 0.0 < value < math.inf:
         raise InvalidOption(f"{name} must be positive, not {value:g}")
     return value
@@ -170,20 +171,22 @@ class Command(typer.core.TyperCommand):
         args = _joined(args, several)
         if (
             ctx.resilient_parsing
-        ):  # for a completion in the shell; a last option without a value would hide the arguments
+        ):  # This is a completion in the shell; a last option without a value would hide the arguments.
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):  # only the last would count
+        # of several tips only the last would count
+        if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):
             names = " or ".join(TIP)
             raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")
         for one in self.params:
             if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            return super().parse_args(ctx, [*args])  # a copy, because the parser empties its list
+            # the parser gets a copy of the arguments, because it empties its list
+            return super().parse_args(ctx, [*args])
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
             for name, text in _given(args, getattr(getattr(error, "param", None), "opts", ())):
@@ -205,7 +208,8 @@ class Command(typer.core.TyperCommand):
             for word in value if isinstance(value, list | tuple) else [value]:
                 if not isinstance(word, str | Path) or any(word is output for output in written):
                     continue
-                read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # the FILE of SOLVER=FILE
+                # the part FILE of an argument SOLVER=FILE
+                read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
                         what = f"'{output}' would overwrite '{read}', which is an input"

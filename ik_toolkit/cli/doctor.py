@@ -141,7 +141,7 @@ def _cache() -> dict[str, Any]:
         from ..kernel.chain import forward_kinematics
 
         folder, broken = damaged(forward_kinematics)
-    except Exception as error:  # the installation is broken; the rows above say which part
+    except Exception as error:  # the installation is broken, and the rows above say in which part
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
         why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")

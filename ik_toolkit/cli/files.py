@@ -84,7 +84,8 @@ def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
     if asked.as_json:
         write_json({**payload, "urdf": text}, True)
     elif asked.output is None:
-        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # safe for a terminal
+        # control characters are escaped, so that the text is safe for a terminal
+        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")
 
 
 @command

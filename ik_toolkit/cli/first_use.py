@@ -19,11 +19,12 @@ from .output import notice
 
 # environment variables: set by the user to compile and wait; set for the second run, which does not compile
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
-AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable: this is the second or third run
+AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable that marks the second or third run of a command
 BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
 LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled code
-BEGUN = "compiling.begun"  # This file exists while a background process compiles, and remains if it dies.
+# name of a file that exists while a background process compiles, and remains if that process dies
+BEGUN = "compiling.begun"
 _here = {"allowed": False, "past": False}
 
 
@@ -91,7 +92,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
     code = _run([*command, *arguments], without, came)
     if code == NOT_ANSWERED:
         return _run([*command, *arguments], {**waiting, AGAIN: "1"}, came)
-    if code not in (0, 1):  # the run has already explained its failure
+    if code not in (0, 1):  # the uncompiled run has already explained its failure
         return code
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
@@ -127,7 +128,7 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGTERM if signal.SIGTERM in came else signal.SIGINT)
             code = process.wait()
-            if code < 0:  # a signal ended it before it could report anything
+            if code < 0:  # a signal ended the child before it could report anything
                 raise
             return code
 

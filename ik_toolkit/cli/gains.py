@@ -54,10 +54,10 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
             raise InvalidOption("gains with a delay are judged at rest only; omit --delay or --path")
         q0 = joint_vector(arm, asked.q0, "--q0", robot.deg)
         along_path = {"robot": arm, "path": asked_path(arm, asked, q0, {}, 1e-3).reference, "q0": q0}
-    used = chosen(asked)  # raises for a rate of 0, before the division below
+    used = chosen(asked)  # raises an error for a rate of 0, before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
-    if along_path and check.longest_step > 0.0:  # else the gains are stable at no rate
+    if along_path and check.longest_step > 0.0:  # otherwise the gains are stable at no rate
         arguments: dict[str, Any] = along_path | used
         least = least_rate(method=asked.method, **arguments)
     names = ("rate", "most", "at_rest", "bands", "largest_move", "message")
@@ -106,5 +106,5 @@ def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], mos
     try:
         gains = {name: options[name] for name in GAINS[check.method] if name in options}
         return check_gains(check.method, check.h, robot=arm, path=path, **gains)
-    except InvalidTarget:  # The run says where the path cannot be followed.
+    except InvalidTarget:  # the report of the run says where the path cannot be followed
         return check

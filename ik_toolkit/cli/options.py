@@ -253,7 +253,7 @@ class OneTip(WholeRobot):
 def slides(robot: Any, joint: str) -> bool:
     """Return whether any joint of the model (on the path to the tip or not, also a mimic joint) is prismatic."""
     model = robot.model
-    # The first three rows of a joint's motion subspace are those of the translation.
+    # the first three rows of a joint's motion subspace are its translation
     return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
 
 
@@ -296,7 +296,8 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)
-        if not (key and equals and (value or mark == ":=")):  # xacro arguments (:=) such as prefixes are often empty
+        # the value of a xacro argument (:=), such as a prefix, is often empty
+        if not (key and equals and (value or mark == ":=")):
             raise InvalidOption(f"{name} takes NAME{mark}VALUE, not '{pair}'")
         split[key.strip()] = value.strip()
     return split

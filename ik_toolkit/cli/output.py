@@ -28,7 +28,8 @@ def notice(text: str) -> None:
     """Print one line of prose on stderr, if it can be written."""
     try:
         print(clean(in_shell(text)), file=sys.stderr, flush=True)
-    except (OSError, ValueError, AttributeError):  # a closed stderr (Python sets None), a reader that left, a full disk
+    # stderr may be closed (Python sets it to None), its reader may be gone, or the disk may be full
+    except (OSError, ValueError, AttributeError):
         pass
 
 

@@ -59,7 +59,7 @@ def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bo
 
 
 def incomplete(scene: Any) -> None:
-    """Print a notice on parts of the robot that could not be drawn, and on how meshes are found."""
+    """Print a notice about parts of the robot that could not be drawn, and about how to make their meshes found."""
     if scene.body.notice:
         meshes = "; --package-dir names a folder to search for them" if "mesh" in scene.body.notice else ""
         notice(f"{scene.body.notice}{meshes}")

@@ -52,7 +52,7 @@ def reproduce(asked: ReproduceOptions) -> None:
     from ..papers.report import ReportInterrupted
 
     try:
-        with progress("computing", None):  # None: the progress of a report is unknown
+        with progress("computing", None):  # None, because the progress of a report is unknown
             report = getattr(importlib.import_module(module), function)()
     except ReportInterrupted as stop:
         with uninterrupted():

@@ -263,7 +263,7 @@ def _added(constant: str) -> str:
 
 @command
 def fk(robot: FkOptions, out: JsonOutput) -> None:
-    """Show where the tip stands for given joint values (pose in the robot's base frame).
+    """Show the pose of the tip, in the robot's base frame, at given joint values.
 
     Examples:
     ik fk hydrolek_7w

@@ -275,7 +275,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # an unknown tip in it is refused by the solver
+    relative = options.get("relative_to") or {}  # an unknown tip in this option is refused later by the solver
     return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
 
 
@@ -342,7 +342,8 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..solvers.message import unweighted
 
     robot = result.robot
-    left = dict(zip(robot.tips, unweighted(result)[0], strict=True))  # errors without weights, as in the message
+    # the errors are shown without weights, as in the message
+    left = dict(zip(robot.tips, unweighted(result)[0], strict=True))
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):

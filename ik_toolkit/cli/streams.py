@@ -97,7 +97,7 @@ def stoppable(came: list[int]) -> Iterator[None]:
         threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, number]).start()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if os.getpid() != process:  # in a forked worker
+        if os.getpid() != process:  # the signal has arrived in a forked worker
             os._exit(128 + number)
         if _importing(frame):
             waiting.append(time.monotonic())
@@ -113,7 +113,7 @@ def stoppable(came: list[int]) -> Iterator[None]:
         else:
             show_dropped(what)
 
-    # Ctrl-C stays ignored where the shell has set that, as for commands in the background.
+    # If the shell has set Ctrl-C to be ignored, as for commands in the background, it stays ignored.
     heard = [signal.SIGTERM]
     heard += [signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []
     with handling(heard, stop):

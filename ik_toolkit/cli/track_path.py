@@ -142,7 +142,7 @@ class Asked(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """Return a line of text on the reference, or a line per tip."""
+        """Return a line of text that describes the reference, for several tips a line each."""
         if isinstance(self.reference, Mapping):
             return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
         return _line(self.reference)
@@ -231,7 +231,7 @@ def advice(
         slower = float(f"{1.1 * share * seconds:.2g}")
         fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
-    one: dict[str, str] = {}  # the advice: the largest size, and the first axis, that works
+    one: dict[str, str] = {}  # for each option, the advice: the largest size and the first axis that work
     for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:

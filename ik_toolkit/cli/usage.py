@@ -92,7 +92,7 @@ def in_flags(text: str, command: Any) -> str:
     options = {one.name.rstrip("_"): one for one in command.params if one.param_type_name == "option"}
     options = {
         name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts
-    }  # `targets` must not become --target
+    }  # `targets` is left out, because it must not become --target
     options |= {name: options[own] for name, own in PYTHON_NAMES.items() if own in options}
 
     def flag(found: re.Match[str]) -> str:
@@ -107,7 +107,7 @@ def in_flags(text: str, command: Any) -> str:
 
 
 class Group(typer.core.TyperGroup):
-    """The program `ik`, with this help."""
+    """The click group of the program `ik`, which formats its help like that of the commands."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""

@@ -129,7 +129,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # A slice without an end has the largest integer as its end in numba.
+    # numba gives a slice without an end the largest integer as its end
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)

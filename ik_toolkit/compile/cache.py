@@ -88,7 +88,7 @@ class DiskCache(FunctionCache):
                 return self._impl.rebuild(target_context, payload)
         except FileNotFoundError:
             pass
-        except Exception as error:  # Whatever is wrong with the file, the kernel can be compiled instead.
+        except Exception as error:  # The file may be damaged in any way; the kernel is then compiled instead.
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         compiling(self.what, "first use on this machine, up to half a minute", Path(self._cache_path))
         return None
@@ -110,7 +110,7 @@ def compiling(what: str, why: str, folder: Path | None = None) -> None:
     COMPILING.info("compiling %s (%s)", what, why, extra={"folder": folder})
     made()
     if not saying["said"]:
-        # A user who sees nothing for 1 s wonders what happens.
+        # A user who sees nothing for 1 s wonders what is happening, so a message is shown after that time.
         saying["timer"] = timer = threading.Timer(1.0, _say, (what.partition(" ")[0], why))
         timer.daemon = True
         timer.start()
@@ -273,7 +273,7 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        # A function that is called as module.name() is found by its name in the module.
+        # a function that is called as module.name() is looked up by its name in the module
         values += [vars(module).get(name) for module in modules for name in found.unbound]
         for value in values:
             ours = inspect.isfunction(value) and value.__module__.startswith(__name__.partition(".")[0] + ".")

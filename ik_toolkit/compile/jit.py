@@ -49,9 +49,11 @@ INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **made_by("PartPipeline"))
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 # `inner` compiles one copy, which callers call. It is for code that rarely runs, or that is large and used in several places.
 inner = njit(**{**BARE, **made_by("CalledPipeline")})
-inline = njit(**INLINE)  # makes a copy in every caller, for small code and for code with large NamedTuples
-build = njit(**BUILD)  # makes a copy in every caller, for code that makes arrays
-spliced = njit(inline="always", **BARE)  # for large code with a single caller, so that LLVM optimises only one copy
+# `inline` copies the function into every caller; for small code and for code with large NamedTuples
+inline = njit(**INLINE)
+build = njit(**BUILD)  # `build` copies the function into every caller, too; for code that makes arrays
+# `spliced` is for large code with a single caller, so that LLVM optimises only one copy
+spliced = njit(inline="always", **BARE)
 # for functions that are inlined in compiled code, and that Python runs as plain Python
 shared = register_jitable(**INLINE)
 
@@ -138,7 +140,7 @@ def compile_time(since: float, everywhere: bool = False) -> float:
         return 0.0
     me, total, last = threading.get_ident(), 0.0, since
     for begin, end in sorted((begin, end) for thread, begin, end in tuple(waits) if everywhere or thread == me):
-        if end > last:  # Threads wait at the same time, for one of them.
+        if end > last:  # waits of several threads overlap, so each period is counted once
             total += end - max(begin, last)
             last = end
     return total
@@ -156,7 +158,8 @@ def noting_time(compile_for: Callable) -> Callable:
         finally:
             if was_on:
                 gc.enable()
-                gc.collect(0)  # It would run at the next allocation, and count as time of the solve.
+                # otherwise the garbage collector would run at the next allocation and count as time of the solve
+                gc.collect(0)
             made()
             waits.append((threading.get_ident(), began, perf_counter()))
 

@@ -58,12 +58,12 @@ default_manager.register(types.NamedUniTuple, record_model(EvenRecordModel, UniT
 
 
 class PartConvention(CPUCallConv):
-    """How a part calls other functions: whatever fails in them is handed on to the part's own caller."""
+    """How a part of a kernel calls other functions: an error in one of them is passed on to the part's own caller."""
 
     def call_function(
         self, builder: Any, callee: Any, resty: Any, argtys: Sequence, args: Sequence, attrs: Any = None
     ) -> tuple[Status, Any]:
-        """Call a function and let it write an exception to where this part's own caller looks for it."""
+        """Write the call of a function, which stores an exception where the caller of this part looks for it."""
         if isinstance(resty, types.Optional):
             return super().call_function(builder, callee, resty, argtys, args, attrs)
         place = self._get_return_argument(callee.function_type).pointee
@@ -76,7 +76,7 @@ class PartConvention(CPUCallConv):
         return status, self.context.get_returned_value(builder, resty, builder.load(slot))
 
     def return_status_propagate(self, builder: Any, status: Status) -> None:
-        """Make the part return the error code of a call that failed."""
+        """Write code that makes a part of a kernel return the error code of a call that failed."""
         if status.excinfoptr is not None:
             builder.store(status.excinfoptr, self._get_excinfo_argument(builder.function))
         self._return_errcode_raw(builder, status.code)
@@ -89,7 +89,7 @@ class PartContext(CPUContext):
 
 
 class PartLower(Lower):
-    """Write the LLVM code of a part."""
+    """Writes the LLVM code of a part of a kernel."""
 
     def _find_singly_assigned_variable(self) -> None:
         """Find the variables that need no memory: those assigned once, in a block that is passed before each use.
@@ -140,7 +140,7 @@ class PartLower(Lower):
         builder.store(start, place)
         builder.store(builder.select(builder.icmp_signed(">", length, zero), length, zero), left)
         made = llvm.Constant(self.context.get_value_type(kind), llvm.Undefined)
-        for k, part in enumerate((place, stop, step, left)):  # the fields of numba's RangeIter
+        for k, part in enumerate((place, stop, step, left)):  # the names are the fields of numba's RangeIter
             made = builder.insert_value(made, part, k)
         return made
 
@@ -158,7 +158,7 @@ class PartLower(Lower):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class PartLowering(NativeLowering):
-    """numba's pass that writes LLVM code, for a part."""
+    """numba's compiler pass that writes LLVM code, for a part of a kernel."""
 
     _name = "part_lowering"
     lowering_class = property(lambda self: PartLower)

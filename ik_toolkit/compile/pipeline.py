@@ -85,12 +85,12 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """Cache what numba finds out about types while a kernel is compiled: overloads, fields and methods of NamedTuples.
+    """While a kernel is compiled, cache what numba finds out about types: overloads, fields and methods of NamedTuples.
 
     typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache is
     emptied after the kernel, because functions may be redefined before the next one.
     """
-    if "resolve_function_type" in vars(typing):  # Another kernel is being compiled: its cache is used.
+    if "resolve_function_type" in vars(typing):  # another kernel is being compiled, and the cache made for it is in use
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -198,7 +198,8 @@ class KernelLibrary(JITCodeLibrary):
 class SmallLibrary(KernelLibrary):
     """Code of a long kernel whose loops, over a robot's joints, are neither unrolled nor vectorised.
 
-    The copies would double the code of a tracker or a path, which is no faster with them; a search is a fifth faster.
+    Unrolling and vectorising would double the code of a tracker or a path search without making it faster. (A solve becomes a fifth
+    faster by them, so its kernel is a KernelLibrary.)
     """
 
     left_out = (*KernelLibrary.left_out, "loop_unrolling", "loop_vectorization")
@@ -287,7 +288,8 @@ class PartPipeline(Compiler):
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
-        state.targetctx.__class__ = PartContext  # The context is a copy for this function.
+        # the context is numba's copy for this function, so its class may be changed
+        state.targetctx.__class__ = PartContext
         state.targetctx.get_abi_sizeof = partial(size_of, state.targetctx.target_data)
         result = super().compile_extra(func)
         description, library = result.fndesc, result.library

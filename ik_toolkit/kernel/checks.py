@@ -111,7 +111,7 @@ def is_rigid(T):
 def standstill(p, look, near, boxed):
     """Return why an attempt makes no progress: LIMIT_BLOCKED, SINGULAR (no joint changes the error) or STALLED.
 
-    p.desk.J must be the Jacobian at the errors `look`; near: `Ends` with the limits that steps must keep.
+    p.desk.J must be the Jacobian at the configuration of the errors `look`; near: `Ends` with the limits that steps must respect.
     """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0

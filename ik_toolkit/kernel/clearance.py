@@ -74,13 +74,13 @@ class BrakingPath(NamedTuple):
 
 @dual
 def travelled(start, change, f):
-    """Return the length that a joint has travelled at the fraction f (0 to 1) of a piece of a motion, both ways if it reverses.
+    """Return the length that a joint has travelled, in both directions, at the fraction f (0 to 1) of a piece of a motion.
 
     The joint's speed is `start` at first and changes linearly by `change` over the piece [per duration of the piece].
     """
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # The joint reverses on the way, so both parts count.
+    if 0.0 < turn < f:  # The joint reverses within the piece, so its motion in both directions is counted.
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)

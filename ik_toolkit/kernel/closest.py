@@ -47,7 +47,7 @@ def weighed(p, e, factor):
 
 @inline
 def held_wrongly(s, error, weights, box):
-    """Return whether the joints held by mistake could lower the error faster than the free joints.
+    """Return whether the joints that are held at a limit by mistake could lower the error faster than the free joints.
 
     A joint at a limit is held by mistake if the error falls as the joint leaves the limit. The sums of squared slopes are compared.
     """
@@ -100,7 +100,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     p.head_for(T)
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
-    add_inside(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
+    add_inside(s.q, s.q, 0.0, box)  # A step of length zero only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
         e = p.evaluate(s.q)
@@ -164,5 +164,5 @@ def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
                 view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)
             )
             for j in range(ANSWER + n + 2, out.shape[1], MISS):
-                out[k, j] = before[j]  # By how much a tip's target is proven out of reach does not change.
+                out[k, j] = before[j]  # The length by which a tip's target is proven out of reach does not change.
     keep(block)

@@ -80,9 +80,9 @@ def log_curvature(rr):
 def shape(task, ends, goal, now, linear, angular, kept):
     """Return the part (linear, angular) of a pose error that counts, and fill kept (KEPT,) for `count_column`.
 
-    The given angular error is 2 sin(angle/2) times the axis; now: axes of the last joint. Comments in the code call G the matrix
-    for which a small rotation v of the tip changes the rotation vector r by -G v. A small rotation v of the target changes r by
-    G' v.
+    The given angular error is 2 sin(angle/2) times the axis; `now` holds the present axes of the last joint. In the comments below,
+    G is the matrix for which a small rotation v of the tip changes the rotation vector r by -G v; a small rotation v of the target
+    changes r by G' v.
     """
     none = V3(0.0, 0.0, 0.0)
     if int(task[WHAT.kind]) == FREE:

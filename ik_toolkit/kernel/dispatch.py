@@ -36,7 +36,10 @@ def _shaped(ends, T, tips):
 
 
 def evaluation(rule, p, q):
-    """Return the errors at q, by the solver rule's own `evaluated` if it has one, which may rank configurations in another way."""
+    """Return the errors at q.
+
+    A solver rule with a method `evaluated` computes them itself, and may rank configurations differently.
+    """
     return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
 
 
@@ -48,7 +51,10 @@ def _evaluation(rule, p, q):
 
 
 def aim_at(rule, p, T, orders):
-    """Set the target, by the solver rule's own `aimed` if any; return by how much it is out of reach, -1 if it is not a pose."""
+    """Set the target, with the solver rule's method `aimed` if it has one.
+
+    Returns by how much it is out of reach, -1 if it is not a pose.
+    """
     return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
 
 

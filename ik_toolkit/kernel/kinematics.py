@@ -14,7 +14,7 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
 
-# A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a revolute joint, else 0.
+# Length of a joint's row: cos b, sin b, tx, ty, turn, a0, slide, d0, index of its coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
 # A joint whose ratio to its coordinate differs from 1 by less than this is no mimic joint: the difference is rounding.
 RATIO = 1e-12
@@ -127,7 +127,7 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near pi the length follows from the cosine, because the sine is too inexact. Even nearer the axis is inexact, too.
+    # Near pi the angle follows from the cosine, because the sine is too inaccurate there. Very near pi the axis is inaccurate, too.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)

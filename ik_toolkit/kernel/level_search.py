@@ -31,7 +31,7 @@ class Minimum(NamedTuple):
     """The best minimum found so far."""
 
     ee: float  # number by which configurations are compared, see `rank_errors`
-    beside: float  # squared error of the level after the one that `ee` is about
+    beside: float  # squared error of the level that comes after the one measured by `ee`
     agreed: int  # number of attempts that found it
     found: int  # number of the attempt that found it first
     met: bool  # whether all levels are in tolerance
@@ -61,7 +61,7 @@ def rank_errors(p, e, level):
 
 @inline
 def next_level(p, e, level):
-    """Return the squared error of the level after the one that the `ee` of `rank_errors` is about."""
+    """Return the squared error of the level that comes after the one measured by the `ee` of `rank_errors`."""
     c, value = 1.0, 0.0
     while e.ee < 1.0 - c:
         c += 1.0
@@ -73,7 +73,10 @@ def next_level(p, e, level):
 
 @inline
 def choose_phase(plain, tries, reached, near, far, excess):
-    """Return the kind of the next attempt; after some constrained ones without success, every other one minimises level 0."""
+    """Return the phase of the next attempt.
+
+    After some constrained attempts without success, every second attempt minimises level 0.
+    """
     if tries < plain:
         return PHASE.at_once
     if excess > 0.0 or (not reached and near >= QUADRATIC.known and (near + far) % 2 == 0):
@@ -100,8 +103,8 @@ def compare(p, e, level, best, number, job):
 def search_by_levels(rule, p, job, level, plain, excess):
     """Make attempts until several have found the best minimum, and return the Answer and the index of its stored errors.
 
-    level (2 F,): level of each group of errors (position, rotation); plain: number of attempts with all errors at one level that
-    come first. The other arguments are those of `search.search`.
+    level (2 F,): level of each group of errors (position, rotation); plain: number of first attempts in which all errors are at one
+    level. The other arguments are those of `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)
@@ -114,7 +117,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
     while True:
         least = (
             WORST if tries == plain else least
-        )  # From now on `least` is a rank, which does not compare with the sums of squares of the attempts before.
+        )  # From here on `least` is a rank, which cannot be compared with the sums of squares of the earlier attempts.
         phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
         index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far
@@ -142,7 +145,10 @@ def search_by_levels(rule, p, job, level, plain, excess):
 
 @inline
 def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
-    """Put the answer, modulo 2 pi nearest the start, into p.desk.q; return the Answer and the index of its stored errors."""
+    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start.
+
+    Returns the Answer and the index of its stored errors.
+    """
     o, s, q = job.orders, p.desk, p.desk.q
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
     copy(answer, q)

@@ -37,20 +37,22 @@ class LevelSteps(NamedTuple):
     flat: float = 1e-6
     longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
-    same: float = 0.02  # minima are the same if their errors differ by less than this share
-    same_reach: float = 1e-5  # the same for level 0 out of reach, as its errors take precedence over the next level
-    agree: int = 3  # the search ends when so many attempts have found the best minimum
-    agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
-    most: int = 20  # it also ends after so many attempts if any has reached level 0
-    # attempts with all errors at one level, if there are at least as many joints as errors that count
+    same: float = 0.02  # two minima count as the same if their errors differ by less than this share
+    # this share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
+    same_reach: float = 1e-5
+    agree: int = 3  # number of attempts that must have found the best minimum before the search ends
+    agree_reach: int = 6  # this number if level 0 is out of reach, where minima are close to one another
+    most: int = 20  # number of attempts after which the search ends if any of them has reached level 0
+    # number of attempts with all errors at one level, if there are at least as many joints as errors that count
     at_once: int = 48
-    # the same for fewer joints, if they can change no more errors than they are (the pose of a planar arm): without them 8 of 400
-    # poses that planar_3r reaches are missed
+    # number of such attempts with fewer joints, if these can change no more errors than there are joints (the pose of a planar
+    # arm); without such attempts 8 of 400 reachable poses of planar_3r are missed
     at_once_few: int = 3
     table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
-    # the same from six joints on, where fewer find as many, and scanning 2048 takes as long as five iterations
+    # number of precomputed starts from six joints on, where 512 find as many minima, and scanning 2048 takes as long as five
+    # iterations
     table_six: int = 512
-    known: int = 8  # attempts after which level 0 is taken to be out of reach
+    known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
     # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
     decay: float = 0.5
 
@@ -66,14 +68,14 @@ class StepTables(NamedTuple):
     basis: Array  # (n, .) basis of the null space left by the levels so far, one vector a column
     work: Array
     turned: Array  # the reflections of `linalg.triangle`, or eigenvectors of `reduced`
-    reduced: Array  # second derivatives in the basis, then its eigenvalues on the diagonal
+    reduced: Array  # second derivatives of a level in the null-space basis, later their eigenvalues on the diagonal
     border: Array  # (r, .) the Jacobian of the free joints, for the r errors of level 0
     triangle: Array  # (r, r) Cholesky factor of border border', damped
-    gradient: Array  # (n,) of half the squared errors of a level
-    rhs: Array  # right side of a linear system
+    gradient: Array  # (n,) gradient of half the squared errors of a level
+    rhs: Array  # right-hand side of a linear system
     pull: Array  # (m,) factors of the second derivatives of the errors, see `counted_error.add_curvature`
     chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
-    asked: Array  # (n,) joint weights from before joints were held
+    asked: Array  # (n,) joint weights before any joint was held
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
     multiplier: Array  # (m,) minus the multipliers of level 0
@@ -84,7 +86,7 @@ class StepTables(NamedTuple):
 
 @inline
 def tables_of(s):
-    """Name the scratch arrays in s.tables (s: Desk) as StepTables."""
+    """Return the scratch arrays s.tables of a search's working memory s (Desk) as StepTables."""
     t = s.tables
     v = t[7]
     return StepTables(
@@ -234,9 +236,9 @@ def down_level(s, k, last, bench, box):
 
 @inner
 def multipliers(level, k, bench):
-    """Write to bench.multiplier the multipliers of level 0, with opposite sign, for the gradient of another level.
+    """Write minus the Lagrange multipliers of level 0, for the gradient of another level, to bench.multiplier.
 
-    It uses the factors that `onto_constraint` has left.
+    The last call of `onto_constraint` must have written the factors in `bench` that are used here.
     """
     b, out, r = bench.rhs, bench.multiplier, 0
     clear(out)
@@ -256,7 +258,7 @@ def multipliers(level, k, bench):
 
 @inner
 def inverse_multipliers(s, level, k, bench):
-    """Write to bench.multiplier the counterpart of multipliers where level 0 is minimised: the Jacobian times mu = -H^+ gradient.
+    """Write to bench.multiplier what replaces the multipliers where level 0 is minimised: the Jacobian times mu = -H^+ gradient.
 
     The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
     """

@@ -10,7 +10,8 @@ from .vectors import clear, dot, dot_of_columns, dot_with_column
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-NOISE = 1e-15  # A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
+# A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
+NOISE = 1e-15
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 
@@ -192,9 +193,10 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
 
 @inner
 def lu_solve(A, b, n, m):
-    """Replace b (n,) by the solution x of A x = b (the leading m x n part, m >= n), and overwrite A.
+    """Solve A x = b, where A is the leading m x n part of an array (m >= n): replace b (n,) by x, and overwrite A.
 
-    Further equations must follow from the n that are used, those with the largest pivots. Return False if A is singular (FLAT).
+    Only the n equations with the largest pivots are used; any others must follow from these. Returns False if a pivot is so small
+    (see FLAT) that A counts as singular.
     """
     top = 0.0
     for i in range(m):

@@ -14,7 +14,7 @@ from .kinematics import ROW
 from .records import Array
 from .starts import FEATURES, PAD
 
-COUNTS = 5  # numbers at the start of a packed array that give the shapes of its parts
+COUNTS = 5  # how many numbers at the start of a packed array give the shapes of its parts
 
 
 def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.ndarray) -> np.ndarray:

@@ -94,7 +94,8 @@ class Miss(NamedTuple):
 
 # How many numbers each of these NamedTuples takes in an array.
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
-PAST = 3  # numbers in a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
+# numbers in a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
+PAST = 3
 WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the Orders array for one tip
 # The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
 AT = Answer._make(range(ANSWER))
@@ -180,7 +181,8 @@ def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # A class with a single array field takes all numbers.
+    # A class whose only field is an array receives all remaining numbers.
+    return lambda cls, array, start=0: make(array[start:])
 
 
 def write(array, start, record):

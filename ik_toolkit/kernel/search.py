@@ -139,10 +139,10 @@ def note(p, e, ends, history, row, attempt):
 
 @inline
 def last_attempt(attempts, given):
-    """Return the number of the attempt that is made from q0 or home to its end (-1: none), and how many attempts are made.
+    """Return the number of the attempt from q0 or home that is never given up early (-1: none), and how many attempts are made.
 
-    It is the last of several, and does what a single one does, so more attempts solve what fewer do. If q0 is given, it repeats the
-    first attempt, which may have been given up, and is not counted.
+    This attempt is the last of several. It does the same as the only attempt of a search without restarts, so that more attempts
+    never solve fewer targets. If q0 is given, it repeats the first attempt, which may have been given up early, and is not counted.
     """
     return (attempts - 1 + given, attempts + given) if attempts > 1 else (-1, attempts)
 

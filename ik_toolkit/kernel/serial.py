@@ -65,7 +65,7 @@ class Serial(NamedTuple):
     task: Array  # (TASK,) which part of the error counts, see `records.Task`
     goal: Array  # (GOAL,) the target
     kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (12,) pose that the method `stand` computed last: axes of the last joint by rows, then the tip's position
+    # (12,) pose computed last (by the method `stand`): axes of the last joint by rows, then the tip's position
     pose: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints
@@ -236,7 +236,7 @@ class Serial(NamedTuple):
         return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
 
     def report(self, place, row):
-        """Do nothing: for one tip the `Answer` at the start of the row already has all errors."""
+        """Do nothing: the result row of a problem with one tip already holds all its errors, in the `Answer` at its start."""
 
 
 @spliced
@@ -246,7 +246,8 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
+    # `trig` is padded, and the sines of its padding are computed, too, so the padding must hold valid numbers.
+    clear(trig)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
         make_desk(block, n, 6),

@@ -149,7 +149,10 @@ def take_target(p, o, ends, table, s, lane, t, call):
 
 @spliced
 def begin_attempt(o, ends, seeds, s, lane, Q0, last):
-    """Set the start and the give-up bound of the next attempt at the target of a lane; last: number of the last (see search.py)."""
+    """Set the start and the give-up bound of the next attempt at the target of a lane.
+
+    last: number of the last attempt (see search.py).
+    """
     n = s.Q.shape[0]
     k = s.tries[lane] - int(o.given)
     s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
@@ -186,7 +189,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
         count += 1.0
         for k in range(12):
             p.goal[k] = s.goals[k, lane]
-        # The target is in reach, so it is aimed at itself, not at the edge of the reach.
+        # The target is in reach, so the search aims at the target itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
         if not e.good:  # Rounding in the shift by 2 pi may exceed a tolerance that was just met.
@@ -275,7 +278,7 @@ def lanes() -> Callable:
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
         L, N = rows.shape[0], seeds.shape[0]
-        lanes_take = WIDTH * (10 * L + 64)  # how many numbers make_lanes takes from the block
+        lanes_take = WIDTH * (10 * L + 64)  # how many numbers `make_lanes` takes from the memory `block`
         block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
         run_lanes(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)

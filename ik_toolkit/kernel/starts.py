@@ -40,11 +40,11 @@ def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, co
 class StartTable(NamedTuple):
     """Precomputed configurations that attempts start from, and scratch arrays to rank them for a target."""
 
-    seeds: Array  # (N, n) the configurations
+    seeds: Array  # (N, n) the precomputed configurations
     # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
     features: Array  # (FEATURES * tips, N + PAD) features of the seeds, see `chain.table`
     score: Array  # (N,) squared distance of each configuration from the target
-    val: Array  # (BEST,) least score of each group, in the order of `best`
+    val: Array  # (BEST,) smallest entry of `score` in each group, in the order of `best`
     best: Array  # (BEST,) nearest first: indices of the starts (one tip) or of the groups (several tips)
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
@@ -186,7 +186,9 @@ def begin_each_tip(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Set q to random start k. If any tip has reached its target, shared joints and the joints of such tips mostly stay.
+    """Set q to random start k.
+
+    If any tip has reached its target, shared joints and the joints of such tips mostly keep their values.
 
     Drawing all joints at once seldom gives a good start for all tips.
     """

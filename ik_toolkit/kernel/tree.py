@@ -297,7 +297,7 @@ class TreeProblem(NamedTuple):
                     self.rows_of(f), self.joints_of(f), self.tasks[f], self.kept[f], self.goals[f], self.poses[f]
                 )
                 add_curvature(state, s.J, 6 * f, s.y, c, least[2 * f :], H)
-            else:  # Of a target that moves with another tip only the products of first derivatives are taken.
+            else:  # For a target that moves with another tip, only the products of first derivatives are used.
                 for part in range(2):
                     if least[2 * f + part] > 0.0:
                         add_products(s.J, 6 * f + 3 * part, s.y, 0.0, H)
@@ -383,7 +383,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    clear(trig)  # Sines of its padding are computed, too, so it must hold valid numbers.
+    clear(trig)  # sines of the padding of `trig` are computed, too, so the padding must hold valid numbers
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return TreeProblem(

@@ -18,7 +18,7 @@ from ..kernel.counted_error import FREE, POSITION
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# N samples of poses (N, 4, 4) or another quantity, and of its first and second derivative (of poses: twists, accelerations (N, 6))
+# N samples of a quantity and of its first and second derivative; for poses (N, 4, 4) these are twists and accelerations (N, 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
 
@@ -147,7 +147,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
 
 # ------------------------------------------------------------------------------------------------ time laws
 def _constant(x: np.ndarray) -> Samples:
-    """Return the time law of constant speed, s = x, and its two derivatives by x (N,), the time over the duration."""
+    """Return the time law of constant speed, s = x, and its two derivatives with respect to x (N,), the time over the duration."""
     return x, np.ones_like(x), np.zeros_like(x)
 
 
@@ -179,7 +179,7 @@ def on_path(
     """Make a reference that moves along path(s), s from 0 to 1, as s = law(t / duration).
 
     Args:
-        path: Takes s (N,); returns positions (N, 3) [m] in the base frame and their first and second derivatives by s.
+        path: Takes s (N,); returns positions (N, 3) [m] in the base frame and their first and second derivatives with respect to s.
         law: Takes t / duration (N,); returns s (N,) and its first and second derivatives.
         duration: Time for the whole path [s].
         R0: Orientation (3, 3) at the start, or None to leave the orientation free.

@@ -41,7 +41,7 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
 
 
 def _straight(p: np.ndarray, d: np.ndarray, s: np.ndarray) -> Samples:
-    """Return the points p + s d (N, 3) of a straight line at s (N,), and their first and second derivatives by s."""
+    """Return the points p + s d (N, 3) of a straight line at s (N,), and their first two derivatives with respect to s."""
     return p + s[:, None] * d, np.broadcast_to(d, (len(s), 3)), np.zeros((len(s), 3))
 
 
@@ -92,7 +92,7 @@ def circle(
 
 
 def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float, s: np.ndarray) -> Samples:
-    """Return the points (N, 3) of a circle about c at the angles k s [rad], s (N,), and their two derivatives by s.
+    """Return the points (N, 3) of a circle about c at the angles k s [rad], s (N,), and two derivatives with respect to s.
 
     u and w (3,) are orthogonal unit vectors in the plane of the circle; the angle is measured from u towards w.
     """
@@ -154,7 +154,7 @@ def lissajous(
 
 
 def _swinging(p: np.ndarray, amp: np.ndarray, k: np.ndarray, phase: np.ndarray, s: np.ndarray) -> Samples:
-    """Return the points p + amp sin(k s + phase) (N, 3) of a Lissajous figure, and their two derivatives by s (N,)."""
+    """Return the points p + amp sin(k s + phase) (N, 3) of a Lissajous figure, and their first two derivatives."""
     angle = k * s[:, None] + phase
     return p + amp * np.sin(angle), amp * k * np.cos(angle), -amp * k * k * np.sin(angle)
 

@@ -64,7 +64,7 @@ class Teleop:
         self.engaged = False
         self._released = True  # whether the clutch was released since the target was last set
         self._anchor: tuple[np.ndarray, np.ndarray] | None = None
-        # The rotation vector of the controller since engaging may be longer than pi.
+        # The rotation vector of the controller since the clutch was engaged may be longer than pi.
         self._turned = np.zeros(3)
 
     def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
@@ -80,8 +80,10 @@ class Teleop:
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
         if not switch(
-            engaged, "engaged"
-        ):  # This comes before the pose is checked: a released clutch counts, whatever the device sends.
+            engaged,
+            "engaged",
+            # This precedes the check of the pose, because a released clutch counts even if the device sends an invalid pose.
+        ):
             self._anchor, self._released, self.engaged = None, True, False
         hand, dt = _pose(T_controller), positive(dt, "dt [s]")
         if engaged and self._anchor is None and self._released:

@@ -77,7 +77,7 @@ def evenly(count: int, most: int) -> np.ndarray:
 
 
 def resampled(s: np.ndarray, known: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """Return a joint path Q (K, n), given at `known` (K,), at the places s (M,) by linear interpolation."""
+    """Interpolate a joint path Q (K, n), given at the path coordinates `known` (K,), linearly at other coordinates s (M,)."""
     return np.stack([np.interp(s, known, one) for one in Q.T], axis=1)
 
 

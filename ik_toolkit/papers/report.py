@@ -117,7 +117,7 @@ class Report:
         note = "" if pictures else "The pictures were left out: they need matplotlib (`pip install matplotlib`)."
         files = self._write(folder, "", note)
         if pictures:
-            # If pyplot is already loaded, as in a notebook, its backend is kept.
+            # If pyplot has been loaded before, as in a notebook, its backend is kept.
             if "matplotlib.pyplot" not in sys.modules:
                 importlib.import_module("matplotlib").use("Agg")
             from ..show.plots import drawing, save

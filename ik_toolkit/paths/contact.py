@@ -92,7 +92,7 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    # For each joint of Pinocchio's model: its index in q, and how far it turns and slides per unit of q.
+    # For each joint of Pinocchio's model: its index in q, and how far the joint turns and slides per unit of q.
     moved: dict[int, tuple[int, float, float]] = {}
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
@@ -195,7 +195,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
 
 
 class _Stretch(NamedTuple):
-    """Result for a segment: whether it is proven free, the margin factor left [rad], and where (share 0 to 1) it touches, or -1."""
+    """Result for a segment: whether it is proven free, the margin factor left [rad], and the share (0 to 1) of a contact, or -1."""
 
     proven: bool
     spare: float

@@ -81,8 +81,8 @@ class Guided(NamedTuple):
 def advance_to_pose(p, o, weights, path, t, u, last, old, new):
     """Continue p.desk.q from a solution of pose number t to a solution of pose u, in steps that are halved where they fail.
 
-    Where the whole step fails, it is first tried from where the motion leads that came from `last`, so that it keeps its direction
-    through a singular pose; beside that, the solution nearest to q may turn back.
+    If the whole step fails, it is first tried again from the configuration to which the motion from `last` to q would lead. The
+    motion then keeps its direction through a singular pose, where the solution nearest to q may turn back.
 
     p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`; last (n,): the solution of the pose before,
     or what q is if there is none. old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
@@ -187,7 +187,7 @@ CHUNK = 8  # number of tracks that a thread continues in one task
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
     """Choose at most `count` widely spaced configurations of found (M, n).
 
-    Each time the one is chosen that is farthest from those in `have` (K, n) and those chosen before, if its distance (the largest
+    Each choice is the configuration farthest from those in `have` (K, n) and those already chosen, if its distance (the largest
     difference of a joint) is above `least`.
     """
     gap = np.full(len(found), np.inf)
@@ -239,10 +239,10 @@ class Tracks:
         return np.cumsum(steps)[:-1]
 
     def end_with_reason(self, listed: Callable[[np.ndarray], Any]) -> bool:
-        """Return whether every track that ends between two poses has to: at a limit, or where its solution vanishes (a fold).
+        """Return whether each track that ends between two poses must end there: at a limit, or where the solution vanishes (fold).
 
-        Each is continued in small parts of the way to the pose that it does not reach. One part beyond its end there must be no
-        solution within the limits and the largest joint step. `listed` lists all solutions of poses, as does
+        Each such track is continued towards the pose that it does not reach, in small parts of the way. One part beyond its end,
+        there must be no solution within the limits and the largest joint step. `listed` lists all solutions of poses, as does
         `exact_branches.every_solution`.
         """
         p, N, parts = self.problem, len(self.problem.T), int(0.25 / SHORTEST)
@@ -274,7 +274,7 @@ class Tracks:
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
         """Start a track from each of the solutions `seeds` (M, n) [internal units] at the poses with the indices `at` (M,).
 
-        Each is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
+        Each solution is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
         """
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))

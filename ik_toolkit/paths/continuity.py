@@ -118,7 +118,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # interpolation has spoilt old rows that are followed by a row of NaN
+        rows[~new] = curve  # interpolation has overwritten the old rows that are followed by a row of NaN
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Where an inserted row has no solution, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True

@@ -24,7 +24,7 @@ from ..solvers.decide import arm_of, elimination_plan
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
-# largest pose error of a solution [m, or in rotation matrix entries]; not smaller, because robot files hold rounded numbers
+# largest pose error of a solution [m, or rotation matrix entries]; robot files hold rounded numbers, so a smaller one would fail
 EXACT = 1e-5
 
 
@@ -87,7 +87,7 @@ def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
-    """Return the displacements (N, 4, 4) that joint i makes from q = 0 to the angles (N,) [rad], in base axes."""
+    """Return the displacements (N, 4, 4) that joint i produces between q = 0 and the angles (N,) [rad], in base axes."""
     made = np.tile(np.eye(4), (len(angle), 1, 1))
     made[:, :3, :3] = _turn(s.axis[i], angle)
     made[:, :3, 3] = s.point[i] - made[:, :3, :3] @ s.point[i]
@@ -117,7 +117,7 @@ def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.nda
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find angles of three joints with parallel axes that together make given displacements from q = 0.
+    """Find the angles of three joints with parallel axes that together produce given displacements from q = 0.
 
     k: index of the first of the three joints; E (N, 4, 4): the displacements. Returns the solutions (N, 2, 3) [rad], NaN where none
     exists, and whether (N,) their number is beyond doubt.

@@ -50,7 +50,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Move the rows q (N, n) [rad, or length over the reach] onto their poses; return them in [rad or m]. Rows of NaN stay."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
-    # The search stores configurations in single precision, so held joints get their exact values back.
+    # The search stores configurations in single precision, so the exact values of held joints are restored here.
     made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]
     made[there] = problem.settled(np.clip(made[there], *problem.limits[:2]), there)[0]
     return made * problem.unit
@@ -151,9 +151,10 @@ def smooth(
 ) -> np.ndarray:
     """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond the larger of it and q's longest step. fixed (N,): poses whose rows stay. bad: a
-    function of a motion (N, n) that returns the indices of the poses where it is not acceptable, such as those in contact; these
-    and their neighbours keep their values in q, and the rest is smoothed again. Returns q itself if nothing better is found.
+    max_step (rad, m): no step becomes longer than this, or than q's longest step if that is larger. fixed (N,): poses whose rows
+    stay. bad: a function of a motion (N, n) that returns the indices of the poses where it is not acceptable, such as those in
+    contact; these and their neighbours keep their values in q, and the rest is smoothed again. Returns q itself if nothing better
+    is found.
     """
     robot = plan.robot
     held = np.zeros(len(q), dtype=bool) if fixed is None else np.array(fixed, dtype=bool)
@@ -213,7 +214,7 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Convert breaks of a path with inserted poses to the requested poses after which they are.
+    """Convert the breaks of a path with inserted poses to the indices of the requested poses after which they occur.
 
     breaks: the breaks as indices of all M poses, inserted ones included; at (M,): positions of these poses on the path through the
     requested ones.
@@ -222,7 +223,7 @@ def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
 
 
 def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
-    """Express a motion through M poses, at positions `at` (M,) on the path through the requested poses, by the latter alone.
+    """Convert a motion through M poses, at positions `at` (M,) on the path through the requested poses, to the requested poses.
 
     Inserted poses become rows of the curve only. A motion that breaks between two requested poses stops at the first and continues
     at the second.

@@ -67,7 +67,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     if all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options):
         return Freedom(min(own, rows), not closed and own < 3 * len(blocks))
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, plan.options), strict=True)):
-        if (axis := free_axis(counts, kind)) is not None:  # A turn about this axis does not count.
+        if (axis := free_axis(counts, kind)) is not None:  # a rotation about this axis does not count
             free = np.array([robot.tip_poses(q)[f].rotation @ axis for q in Q])
             J[:, 2 * f + 1] -= free[:, :, None] * np.einsum("si,sij->sj", free, J[:, 2 * f + 1])[:, None]
     able = most(J)
@@ -77,8 +77,8 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return by how much [m], [rad] (2, M-1) a curve's rows exceed the tolerances because the arm has too few joints.
 
-    The result is 0 for an arm with enough joints. For each segment between two rows of the curve (M, n), it is the larger value of
-    both ends. at (M,): positions of the rows on the path through the poses T (N, F, 4, 4).
+    The result is 0 for an arm with enough joints. The result for a segment between two rows of the curve (M, n) is the larger of
+    the values at its two ends. at (M,): positions of the rows on the path through the poses T (N, F, 4, 4).
     """
     return off_the_poses(plan, kinds, curve, at, T) if freedom(plan, kinds).lacks else np.zeros((2, len(curve) - 1))
 
@@ -86,7 +86,8 @@ def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.nda
 def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances at the interpolated poses.
 
-    For each segment it is the larger value of both ends, as in `missed`, but it is computed for every arm.
+    The result for a segment is the larger of the values at its two ends. Unlike in `missed`, it is not 0 for an arm with enough
+    joints.
     """
     o = plan.options
     left = np.nan_to_num(errors_at_rows(plan.robot, curve, interpolate_poses(T, at, kinds), kinds, o)).T
@@ -97,7 +98,8 @@ def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T:
 def errors_at_rows(robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Any) -> np.ndarray:
     """Return the counted errors [m], [rad] (N, 2) of each row of q (N, n) from its target, the largest of all tips.
 
-    A row of q that is not finite has NaN. T (N, ...): a target for each row; kinds: a target kind per tip; o: the Options.
+    The errors of a row of q that is not finite are NaN. T (N, ...): a target for each row; kinds: a target kind per tip; o: the
+    Options.
     """
     errors = np.full((len(q), 2), np.nan)
     for t in np.flatnonzero(np.isfinite(q).all(axis=1)):

@@ -65,7 +65,7 @@ class Problem:
         self.stand = (robot.home if q0 is None else q0) / self.unit
         able = freedom(self.single, kinds)
         turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
-        if able.lacks:  # Interpolated poses cannot be reached: the motion is checked only after the search.
+        if able.lacks:  # The arm cannot reach interpolated poses, so its motion is checked only after the search.
             self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -124,7 +124,7 @@ class Minima(NamedTuple):
     """Constants of the search for a path through the nearest reachable poses."""
 
     starts: int = 200  # random starts from which the first pose is solved
-    followed: int = 8  # largest number of minima of the first pose that are followed along the path
+    followed: int = 8  # largest number of local minima at the first pose that are followed along the path
     # [rad, or length over the reach] a joint that moves further between two poses has changed its branch
     jump: float = 0.5
 
@@ -135,8 +135,9 @@ MINIMA = Minima()
 def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None) -> np.ndarray:
     """Return the poses nearest to T (N, 4, 4) or (N, F, 4, 4) that one posture of the arm reaches.
 
-    Each of several minima of the first pose is followed from pose to pose. The one is taken that misses the fewest poses, then has
-    the fewest jumps, then the least errors of lower priority. A pose whose errors of first priority cannot be met stays as it is.
+    Several local minima of the first pose are followed from pose to pose. The chosen one misses the fewest poses; among equals, it
+    has the fewest jumps, and then the smallest errors of lower priority. A pose whose errors of first priority cannot be met stays
+    as it is.
 
     Args:
         solver: A Solver with the option `priority`.
@@ -173,7 +174,7 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
 
 
 def _worth(plan: Any, T: np.ndarray, kinds: tuple, Q: np.ndarray, good: np.ndarray) -> tuple[int, int, float]:
-    """Return how many poses a posture misses, how often it jumps, and the sum of its errors of the lower levels."""
+    """Return how many poses a motion misses, how often it jumps, and the sum of its errors of the lower levels."""
     lower = np.array(group_levels(plan.robot, plan.options)) > 0
     total = 0.0
     for t in np.flatnonzero(good):

@@ -33,11 +33,9 @@ class Effort(NamedTuple):
     patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
     rounds: int = 8  # listed solutions that lie on no track are added in at most this many rounds; two are usual
     # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
-    near: float = 0.003  # It makes it easy to prove the motion between poses free of contact.
-    probes: int = (
-        9  # in a gap (a run of poses without tracks), the other poses are given up after this many without a solution
-    )
-    least: int = 20_000  # A search may make `budget` collision tests per pose, but at least `least` in all.
+    near: float = 0.003  # With this margin the motion between poses is easily proven free of contact.
+    probes: int = 9  # number of poses without a solution after which a gap (a run of poses without tracks) is given up
+    least: int = 20_000  # A search may make `budget` collision tests per pose of the path, and at least `least` in all.
     budget: int = 200
 
 
@@ -235,7 +233,7 @@ class Search:
     def best(self, allowed: float | None = None) -> Found:
         """Return the best path to the last pose or, with `allowed`, to the farthest pose that so many reconfigurations reach.
 
-        If a joint's winding along it does not fit its limits, its tracks are copied with shifts by 2 pi, and all is repeated.
+        If a joint's winding does not fit its limits, its tracks are copied with shifts by 2 pi, and the search is repeated.
         """
         while True:
             found, unfit = self.made(allowed)
@@ -285,7 +283,7 @@ class Search:
         self.link()
         if (
             self.worth() and self.model is not None
-        ):  # A narrow passage may be free without the extra margin EFFORT.near.
+        ):  # a narrow passage may be free if the extra margin EFFORT.near is dropped
             self.keep_away(self.model.collides)
             self.link()
         left = EFFORT.patience
@@ -304,7 +302,7 @@ class Search:
     def prove(self) -> None:
         """Set `lower_bound` if the number of reconfigurations is proven to be the least.
 
-        That is so if it is 0, or if every solution of every pose lies on a track, and every track is proven to end where it does.
+        That is so if the number is 0, or if each solution of every pose lies on a track, and all tracks provably end where they do.
         """
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
@@ -321,7 +319,7 @@ class Search:
             self.link()
         else:
             return
-        # A solution missed at one pose alone, between complete lists, is entered and left by reconfigurations: it saves none.
+        # A solution missing at a single pose, between complete lists, is entered and left by reconfigurations: it saves none.
         beside = np.pad(sure, 1, constant_values=True)
         known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
         if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):

@@ -271,7 +271,7 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion breaks between two rows
     for k in breaks:
-        cut[min(int(np.searchsorted(at, k)), len(cut) - 1)] = True  # A contact may be at the last row.
+        cut[min(int(np.searchsorted(at, k)), len(cut) - 1)] = True  # a contact at the last row has no row after it
     starts = np.flatnonzero(np.append(True, cut))
     ends = np.append(starts[1:], len(curve))
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]

@@ -16,10 +16,10 @@ import numpy as np
 from ..compile.jit import cached_small, inline, inner
 from ..kernel.kinematics import TAU
 
-# A state is a track at a pose. DEAD: it does not exist or violates a limit; otherwise what is known of contact.
+# A state is a track at a pose. DEAD: the state does not exist or violates a limit; the other codes say what is known about contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# A state's parent is the track k of the state before it on the best path, or -2 - k if it is reached from there by a
-# reconfiguration. NONE is the parent of a state that has none.
+# The parent of a state is the track k of the state before it on the best path, or -2 - k if a reconfiguration leads from there to
+# it. NONE marks a state without a parent.
 NONE = -1
 CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
 
@@ -76,7 +76,7 @@ def window(keys, size, low):
 def link_layers(
     Q, span, state, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents, prior
 ):
-    """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results before it are kept.
+    """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
     Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
@@ -144,7 +144,8 @@ def link_layers(
                     at = shortest_difference(float(Q[t, b, axis]), round)
                     low = window(keys, size, shortest_difference(at - reach, round))
                     for j in range(low, size if round == 0.0 else low + size):
-                        j -= size if j >= size else 0  # the sorted values of an endless joint are searched as a ring
+                        # the sorted values of an endless joint are searched cyclically, modulo 2 pi
+                        j -= size if j >= size else 0
                         if shortest_difference(keys[j] - at, round) > reach:
                             break
                         a = near[j]
@@ -175,7 +176,7 @@ def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
 LONG = 1e3  # cost [internal units] of a step longer than allowed, more than the length of any path
 # cost of a reconfiguration in addition to its count; its own joint move is not part of the path and costs nothing
 LEAP = 1.0
-# extra cost of an untested state between two in contact on one track, so that it is used only if nothing else is left
+# extra cost of an untested state that lies between two states in contact on its track, so that it is used only as a last resort
 SUSPECT = 50.0
 HITS = 4  # number of states found in contact after which the dynamic program is first run again
 SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by whose value states are sorted
@@ -196,7 +197,7 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # Two columns are needed at least, because the last row holds two prices.
+        # At least two columns are needed, because the last row holds two prices.
         self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
@@ -211,7 +212,7 @@ class Program:
         self.order = sorted_tracks(Q[:, :, self.axis], self.endless[self.axis])
 
     def _telling(self) -> int:
-        """Return the joint that separates states best: the one in which the fewest sampled pairs are within a step."""
+        """Return the joint that separates states best: the joint in which the fewest sampled pairs of states are within a step."""
         N, K, n = self.Q.shape
         some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
         Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
@@ -313,7 +314,7 @@ class Tester:
         return p.state[t, k] == TOUCHING
 
     def look_over(self) -> None:
-        """Test every track at every COARSE-th pose; states between two in contact get the extra cost SUSPECT."""
+        """Test every track at every COARSE-th pose for contact; states between two states in contact get the extra cost SUSPECT."""
         program, self.looked = self.program, True
         for k, (low, high) in enumerate(program.span):
             before = -1
@@ -360,7 +361,7 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
     """
     N = len(program.Q)
     order = middle_first(N)
-    # Each round looks for one contact more before the dynamic program is run again, because running it takes time.
+    # Each round looks for one more contact than the last before the dynamic program is run again, because running it takes time.
     for most in itertools.count(HITS):
         program.run()
         tracks, jumps = program.path(N - 1)

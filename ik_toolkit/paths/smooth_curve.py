@@ -70,7 +70,7 @@ def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Cu
 
 
 def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.ndarray) -> Curve | None:
-    """Fit a spline through rows of a curve, and insert rows until it is near enough to the chords and free of contact.
+    """Fit a spline through rows of a curve, and insert rows until the spline is near enough to the chords and free of contact.
 
     curve (M, n) [rad or m]; at (M,): positions of its rows on the path; arcs: gives the poses for the inserted rows. Returns None
     if an inserted row cannot be solved, or ROUNDS do not suffice.
@@ -198,8 +198,8 @@ def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
 class Arcs:
     """Interpolation between poses T (N, F, 4, 4) by cubic splines from corner to corner.
 
-    On a chord that a tip may not leave as far as an arc does (`allowed` (2, N-1) [m], [rad]), and on one between two
-    neighbouring corners, the interpolation is linear instead.
+    The interpolation is linear on a chord between two neighbouring corners, and on a chord that the tip may leave by less than an
+    arc would (`allowed` (2, N-1) [m], [rad]).
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, allowed: np.ndarray) -> None:

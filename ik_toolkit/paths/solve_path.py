@@ -150,7 +150,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # with some rotations of 180 degrees reversed, fewer may be possible
+            search.lower_bound = None  # reversing some half turns may need fewer reconfigurations
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
@@ -213,13 +213,13 @@ def _start(solver: Solver, kinds: tuple, q0: Any) -> tuple[np.ndarray | None, st
 
 
 def _share_bound(search: Search, other: Search) -> None:
-    """Keep of two searches' proven bounds what holds with and without the inserted poses."""
+    """Combine the proven bounds of two searches, so that they hold both with and without the inserted poses."""
     bounds = [one.lower_bound for one in (search, other) if one.lower_bound is not None]
     search.lower_bound = other.lower_bound = min(1, *bounds) if len(bounds) == 2 else None
 
 
 def _silent(share: float, words: str) -> None:
-    """Do nothing: the progress function if the caller gives none."""
+    """Do nothing; this is the progress function if the caller gives none."""
 
 
 # --------------------------------------------------------------------------------------------------------------- reading
@@ -352,7 +352,7 @@ def _against(made: PathResult, wanted: np.ndarray | None, notice: str = "") -> P
     return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
 
 
-DOUBT = 0.1  # A rotation that differs from pi by less than 0.1 orientation tolerances may be reversed.
+DOUBT = 0.1  # A rotation may be reversed if it differs from pi by less than this share of the orientation tolerance.
 SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than pi, well above rounding (1e-16)
 
 
@@ -392,7 +392,7 @@ class HalfTurns:
         return bool(meant.any())
 
     def poses(self) -> np.ndarray:
-        """Return the poses (N, F, 4, 4); one whose shortest rotation from the pose before is not unique is rotated a little."""
+        """Return the poses (N, F, 4, 4); a pose whose shortest rotation from the pose before is not unique is rotated a little."""
         T = self._T.copy() if len(self.gaps) else self._T
         for p in np.argsort(self.gaps, kind="stable").tolist():
             k, f = self.gaps[p], self.tips[p]

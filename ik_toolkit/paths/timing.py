@@ -18,12 +18,13 @@ from ..validate import positive
 from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
-GRID = 200  # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
+# least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
+GRID = 200
 TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # a trajectory with more samples is refused: its rate is surely a mistake
-# NaN, as the positions on the path of both ends of a free motion, which is not on the path
+# NaN for the positions on the path of both ends of a free motion, because such a motion is not on the path
 NOWHERE = np.full(2, np.nan)
 KEPT = 0.99  # A tip counts as keeping the requested speed if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
@@ -259,7 +260,7 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
     knots = piece.knots
-    # Between grid points the tip is slower than its ceiling by as much as its rate along the curve changes there.
+    # Between grid points the tip stays below its speed limit by as much as its rate along the curve changes there.
     points = GRID if tip_speed == math.inf else 10 * GRID
     between = max(2, math.ceil(points / (len(knots) - 1)))
     step = np.diff(knots) / between

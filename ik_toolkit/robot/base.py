@@ -52,7 +52,7 @@ class Given(NamedTuple):
     blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
-        """Convert a configuration of `model`, which has an ordinary joint for each coordinate, to the given model."""
+        """Convert a configuration of `model`, which has a one-DOF joint for each coordinate, to the given model."""
         q = pin.neutral(self.model)
         for own, other, size in self._same(model):
             q[own : own + size] = full[other : other + size]
@@ -277,7 +277,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Move shapes that were placed on one model to the links of another, or of the same, model."""
+    """Return shapes that were placed on one model, placed on the links of another model or of the same one."""
     for shape in geometry.geometryObjects:
         # A shape that has only a parent joint and no parent frame is placed like that joint.
         of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)

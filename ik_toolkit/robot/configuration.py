@@ -15,7 +15,7 @@ from .ros import read_joint_state
 
 
 class Named(dict[str, np.ndarray]):
-    """Configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
+    """A dict of configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
 
     def __missing__(self, name: str) -> np.ndarray:
         """Raise ConfigurationNotFound, because there is no configuration of this name."""
@@ -89,7 +89,7 @@ def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
 
 
 def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
-    """Return the mimic joints that are at a limit of their own at a checked q (n,), within 1e-9, by the joint they follow."""
+    """Return, by the joint that they follow, the mimic joints at a limit of their own (within 1e-9) at a checked q (n,)."""
     limits, found = follower_limits(robot), {}
     at = joint_values(robot, q) if limits else {}
     for joint, (low, high) in limits.items():

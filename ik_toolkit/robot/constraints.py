@@ -148,7 +148,7 @@ class Closure:
         path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
-        except ModelError:  # a joint without a position inside its limits cannot help to close a loop
+        except ModelError:  # a joint that has no position inside its limits cannot help to close a loop
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return CoupledConstraints(constraints, joints, lower, upper)
 
@@ -309,7 +309,7 @@ class Closure:
 
 
 def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:
-    """Return the end of a sentence on a constraint: whether it is kept, and the joints that were moved to close it.
+    """Return the end of a sentence about a constraint: whether the constraint holds, and which joints were moved to close it.
 
     open_by: text that says how far it is violated, '' if it is kept, 'unknown' if it cannot be computed.
     """

@@ -103,7 +103,7 @@ class Joints(ReadOnly):
     _path: JointPath
     _given: Given | None
     _original: pin.Model | None
-    _wide: Any = None  # for a variant with narrower limits: the robot it was made from
+    _wide: Any = None  # the robot that this variant with narrower limits was made from, or None
 
     def _note(self, notes: Iterable[str]) -> None:
         """Store notes on the description, and log those that are new."""
@@ -195,7 +195,7 @@ class Joints(ReadOnly):
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            # Values inside the limits are never taken for degrees.
+            # values inside the limits are never mistaken for degrees
             values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
             far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
             if far:

@@ -27,7 +27,7 @@ MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """The description that a robot name stands for.
+    """The library's entry for a robot name: the description to read, its tips and its home.
 
     `source` is what to read: `path`, or the URDF text if path is None. `tip` is None if several exist or none is known;
     `tips` are all the known ones. `home` (n,) [rad or m] is in the order of the joints from base to tip (for several
@@ -226,7 +226,10 @@ def _menagerie(name: str) -> Path:
 
 
 def _only_model(source: str | Path) -> Path | None:
-    """Return the only description in a folder, or the one named after it; scenes, which put a robot on a floor, do not count."""
+    """Return the only description in a folder, or the one named like the folder.
+
+    Scenes, which put a robot on a floor, do not count.
+    """
     try:
         folder = Path(source).expanduser()
         if not str(source) or not folder.is_dir():
@@ -284,5 +287,6 @@ def _file(source: str | Path) -> Path | None:
     try:
         path = Path(source).expanduser()
         return path.absolute() if str(source) and path.is_file() else None
-    except (OSError, ValueError, RuntimeError):  # The name may be too long or have a NUL, or there is no home folder.
+    # the name may be too long or contain a NUL, or there may be no home folder
+    except (OSError, ValueError, RuntimeError):
         return None

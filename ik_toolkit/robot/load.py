@@ -162,8 +162,8 @@ def default_base(
 ) -> str | None:
     """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
 
-    The last applies to a tip below a floating or planar joint without base_limits: this joint is then locked, and a note on that
-    is added to `made`, the arguments for `Robot`.
+    The link that a free joint carries is the base if the tip is below a floating or planar joint without base_limits. This joint is
+    then locked, and a note about that is added to `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -188,7 +188,7 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
 
 
 def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.ndarray) -> list[str]:
-    """Return a note if a description seems to be in millimetres: longer than any arm with links as light as these; or none.
+    """Return a note if a description seems to be in millimetres because its links are too light for their length; else nothing.
 
     Cranes and concrete pumps over 50 m long weigh hundreds of kilograms a metre, table-top arms described in millimetres grams.
 
@@ -199,11 +199,11 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
         strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
     """
     places = [model.jointPlacements[j] for j in joints[1:]] + [model.frames[tip].placement]
-    # A stroke of kilometres stands for none, as of a base that drives.
+    # A stroke of kilometres means "unlimited", as for a base that drives, so it is not counted as a length.
     travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
-    if not (long > 50.0 and mass < 100.0 * long):  # [m], [kg/m]
+    if not (long > 50.0 and mass < 100.0 * long):  # length [m], mass per length [kg/m]
         return []
     weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [

@@ -61,7 +61,7 @@ def _places(
             yield root / name, False
             yield from ((found, False) for found in sorted(root.glob(f"*/{name}")))
             yield from ((found, True) for found in _below(root, INSIDE) if _named(found, name))
-    import importlib.metadata  # imported here because it takes longer than a search
+    import importlib.metadata  # imported here because the import takes longer than a search
 
     for distribution, folders in DATA.items():
         try:

@@ -60,7 +60,8 @@ def _near_unit(quat: Any, name: str) -> np.ndarray:
     if not abs(length - 1.0) <= PROJECT_WITHIN:
         mend = f"normalise it if it is right otherwise, in the order {', '.join(name[-4:])}"
         raise InvalidTarget(f"{name} has length {length:.4g}: not a rotation, which has length 1; {mend}")
-    if abs(length - 1.0) > 1e-3 and name not in DOUBTED:  # Four written digits are off by 1e-4 at most.
+    # a quaternion written with four digits is off by at most 1e-4, so only larger deviations are reported
+    if abs(length - 1.0) > 1e-3 and name not in DOUBTED:
         DOUBTED.add(name)
         logging.getLogger("ik_toolkit").warning("%s has length %.4g and was normalised", name, length)
     return q

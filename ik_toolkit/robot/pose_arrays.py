@@ -15,7 +15,7 @@ from .pose import as_array
 from .ros import listed_poses
 
 QUAT = ("qx", "qy", "qz", "qw")
-FORMS = {  # what the files look like, for messages
+FORMS = {  # descriptions of the file formats, for error messages
     ".json": 'JSON has a list of positions, [[0.5, 0.1, 0.3]], or poses (4, 4), or an object with lists "xyz" and "quat_xyzw"',
     ".npz": "NPZ has an array xyz (N, 3), with quat_xyzw (N, 4) for poses, or targets (N, 4, 4) or (N, 3)",
 }

@@ -271,8 +271,11 @@ def _tip_columns(file: str, columns: list[str], tips: Sequence[str], given: Conv
 
 
 def _rows(stream: TextIO, name: str, top: int) -> Iterator[tuple[int, str]]:
-    """Yield the lines below line `top` with their numbers, but for blank ones; a warning names those that others follow."""
-    gaps: list[int] = []  # the first line of each
+    """Yield the lines below line `top` with their numbers, without blank lines.
+
+    A warning names blank lines that other lines follow.
+    """
+    gaps: list[int] = []  # number of the first line after each gap
     skipped, before = 0, top
     for k, line in enumerate(_lines(stream, name), 1):
         if k <= top or _blank(line):
@@ -351,7 +354,7 @@ def _numbers(texts: list[str], columns: list[int], top: _Top, lines: list[int], 
     except ValueError:
         pass
     rows, bad = [], {}
-    for k, text in zip(lines, texts, strict=True):  # Reading line by line finds those at fault.
+    for k, text in zip(lines, texts, strict=True):  # reading line by line finds the lines at fault
         try:
             row = next(csv.reader([text], delimiter=mark, strict=True))
         except csv.Error as error:

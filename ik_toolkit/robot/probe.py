@@ -34,11 +34,12 @@ NO_LIMIT = 1e15
 LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
 # Two axes count as parallel if the sine of the angle between them is below this, the rounding of a few matrix products.
 PARALLEL = 1e-14
-SINGULAR = 0.02  # A configuration is no good as home if its smallest singular value (lengths over reach) is below this.
+# A configuration is unsuitable as home if the smallest singular value of its Jacobian (lengths over reach) is below this.
+SINGULAR = 0.02
 
 
 class JointPath(NamedTuple):
-    """The joints between base and tip, and the places of their coordinates in Pinocchio's configuration."""
+    """The joints between base and tip, and the indices of their coordinates in Pinocchio's configuration."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
     # Number of leading joints that run from the base towards the root, up to the last link that it shares with the tip.
@@ -297,7 +298,7 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # cosine of the rotation about x before the joint, here of angle 0
+        row[0] = 1.0  # cosine of the rotation about x before the joint, which has angle 0 here
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:

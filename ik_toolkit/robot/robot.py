@@ -31,8 +31,10 @@ from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
 
-CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")  # A copy must not share these caches.
-LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # A base or a tip has one of these types.
+# a copy must not share these caches
+CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
+# types of frame of a base or tip
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
 
@@ -263,7 +265,7 @@ class Robot(Joints):
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # NaN is refused too.
+        if not off <= AGREE:  # this form of the comparison refuses NaN, too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
@@ -364,7 +366,7 @@ class Robot(Joints):
         other._build(self.home)
         return other
 
-    write = write_urdf  # the description as a plain URDF
+    write = write_urdf  # writes the description as a plain URDF
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""

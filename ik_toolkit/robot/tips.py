@@ -52,7 +52,7 @@ def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Return whether a word of a frame's name is one of `names`; digits at its end are ignored ('camera2' is a camera)."""
+    """Return whether a word of a frame's name is one of `names`; digits at the word's end are ignored ('camera2' is a camera)."""
     return any(word.rstrip("0123456789") in names for word in said)
 
 

@@ -111,7 +111,7 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # in reversed order, so that the first tip's values are kept
+        # arms in reversed order, so that values of earlier tips overwrite those of later ones
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)

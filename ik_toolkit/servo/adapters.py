@@ -25,10 +25,11 @@ from .stability import GainCheck, check_gains
 LOWER = 0.01  # weight of the errors of one priority level relative to those of the next higher level
 RELATIVE = (
     1.0 / LOWER
-)  # weight of an error relative to another tip: one level higher, as two hands must first keep their grip on an object
+    # An error relative to another tip is weighted like the next higher level, because two hands must above all keep their grip.
+)
 LEVER = 0.2  # [m] default of length_scale: an angle of 1 rad counts as much as this length, about that of a hand
 ALIKE = 0.6  # difflib similarity above which an unknown option is taken for a misspelt option of another method
-WORDS = (*COUNTING, "relative_to", "priority", "length_scale")  # options that say how errors count
+WORDS = (*COUNTING, "relative_to", "priority", "length_scale")  # names of the options that select and weight errors
 
 
 def even(robot: Robot | Tree, options: Options) -> np.ndarray:

@@ -85,12 +85,13 @@ class Guard:
     """
 
     def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
-        """Bind to the model, and compile (or load) all that is needed later. Call `restart` before anything else."""
+        """Bind to the model, and compile (or load) all code that is needed later. Call `restart` before any other method."""
         self.robot, self.model, self.limits, self.gamma = robot, model, limits, gamma
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
-        self.late = 0.0  # [s] longest step that may follow: the arm must be able to brake before a contact also after such a step
+        # [s] longest step that may follow: the arm must be able to brake before a contact also after such a step
+        self.late = 0.0
         self._bind()
         self._get_ready()
 
@@ -103,7 +104,7 @@ class Guard:
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, GUARD.keep), GUARD.keep)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes for pickling, but of the distance measurements only the nearest points."""
+        """Return all attributes for pickling; of the distance measurements, only the nearest points are kept."""
         kept = {name: value for name, value in vars(self).items() if name != "_space"}
         return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
 
@@ -133,16 +134,16 @@ class Guard:
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Measure all distances at q (n,) [rad or m]; return the names of a pair of bodies in contact there, or None."""
-        if self._version != self.model.version:  # something was added, moved or removed
+        if self._version != self.model.version:  # a shape of the collision model was added, moved or removed
             self._bind()
         self._space.forget()
         self._space.place(q)
         # (P,) lower bounds of the distances of all pairs at q, less their margins [m]
         self._low = self._space.distances() - self._space.margins
-        # (P,) whether each of these distances was measured at q and is not only a bound
+        # (P,) whether the distance of each pair was measured at q; if not, only a bound is known
         self._fresh = np.ones(len(self._low), dtype=bool)
         self._known = False  # whether the joint Jacobians of all bodies at q are known
-        # (P,) bounds [m] on how much closer each pair can come in a step and brake like the last one
+        # (P,) bounds [m] on how much closer each pair can come during a step and brake like the last ones
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
         self._left = 1.0  # ratio of the present rates in the proven brake to the rates with which it began
@@ -157,7 +158,7 @@ class Guard:
         values and rates; h [s]: length of the step.
         """
         self.pairs = []
-        if self._version != self.model.version:  # something was added, moved or removed
+        if self._version != self.model.version:  # a shape of the collision model was added, moved or removed
             self.restart(q)
         reach = GUARD.influence + self._stop
         ks = np.flatnonzero(self._low < reach)
@@ -223,7 +224,7 @@ class Guard:
         The brake is the one that was proven free together with the last step taken.
         """
         blocked, path = self.blocked, self._path
-        if path is None:  # No step of this guard led here, so there is no proven brake yet.
+        if path is None:  # The arm did not get here by a step that this guard proved, so there is no proven brake yet.
             self._take(q[None], rate[None], h, anyway=True)
             self.blocked, path = blocked, self._path
         if path is None:
@@ -268,7 +269,7 @@ class Guard:
                 space.place(Q[0])
                 self._measure(doubtful)
             self.blocked = self._prove(path, doubtful, levers)
-            # The proof has placed the bodies elsewhere, so nothing measured at q is valid any more.
+            # The proof has moved the bodies of the model to other configurations, so the measurements at q are no longer valid.
             self._known = False
             self._fresh[:] = False
             if not (self.blocked is None or anyway):

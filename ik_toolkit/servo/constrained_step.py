@@ -20,7 +20,8 @@ from ..kernel.vectors import dot
 from .equality_qp import program_on, program_space, resized
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
-LEAVE, DIRECT = range(2)  # modes, explained above: least error now, or the tip falls behind but keeps its direction
+# modes, explained in the module's docstring: least error now, or the tip falls behind but keeps its direction
+LEAVE, DIRECT = range(2)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)  # outcomes, explained in `constrain`
 LOOSE = 1e-9  # Inequalities are loosened by this more than needed, so that a solution exists despite rounding.
 CAUTIOUS = 1.5  # safety factor on the bound of the curvature that the linear model neglects
@@ -34,7 +35,7 @@ class TaskRate(NamedTuple):
 
     J: Array  # (n, m) transposed Jacobian, one row for each joint
     weight: Array  # (m,) weights of the task's rows; 0: the row does not count
-    ask: Array  # (m,) rate asked for in each row
+    ask: Array  # (m,) rate asked for in each row of the task
     want: Array  # (n,) desired joint rates
     aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
@@ -129,7 +130,8 @@ def lay_out(room, asked, allowed, loose, fastest):
         for i in range(n):
             P[k, i] = asked.weight[c] * J[i, c] * unit[i]
         room.rhs[k] = asked.weight[c] * asked.ask[c]
-        if dot(P[k], P[k], n) > 0.0:  # A row that no joint can change cannot be met, so it is overwritten.
+        # The next row overwrites a row that no joint can change, because such a row cannot be met.
+        if dot(P[k], P[k], n) > 0.0:
             k += 1
     return resized(room, n, count, k - count)
 

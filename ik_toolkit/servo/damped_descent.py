@@ -29,10 +29,11 @@ from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
 
 @compiled
 class DampedDescent(NamedTuple):
-    """When an arm counts as stuck, and how the share, the factor in the damping mu of its descent, is adapted."""
+    """Thresholds by which an arm counts as stuck, and constants that adapt `share`, the factor in the damping mu of its descent."""
 
     stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
-    small: float = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
+    # [arm reaches, rad] weighted error below which the tracking method continues without a damped descent
+    small: float = 1e-4
     stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
     # An arm makes progress if within `stalled` the weighted error falls by `progress`, or by what it would fall at `pace` times the
     # rate that full joint speed allows, whichever is less.
@@ -43,12 +44,12 @@ class DampedDescent(NamedTuple):
     reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
     reversals: float = 2.0  # An arm is stuck after so many joint reversals.
     forgotten: float = 0.1  # [s] time after which a reversal is forgotten
-    first: float = 0.5  # the share at first
-    least: float = 0.02  # the least share; below it joints turn back repeatedly
-    most: float = 16.0  # the largest share
-    turned: float = 8.0  # factor on the share when joints turn back
-    raised: float = 2.0  # factor on the share when the error does not fall
-    lowered: float = 0.9  # factor on the share while the error falls
+    first: float = 0.5  # initial value of the factor `share`
+    least: float = 0.02  # least value of the factor `share`; with a lower value joints turn back repeatedly
+    most: float = 16.0  # largest value of the factor `share`
+    turned: float = 8.0  # factor by which `share` is raised when joints turn back
+    raised: float = 2.0  # factor by which `share` is raised when the error does not fall
+    lowered: float = 0.9  # factor by which `share` is lowered while the error falls
     # After joints have turned back, the share must not fall below this fraction of its raised value for a while: floor * turned = 2
     # times the share with which they turned back.
     floor: float = 0.25

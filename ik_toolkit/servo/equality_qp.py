@@ -39,7 +39,7 @@ class Basis(NamedTuple):
     L: Array  # (K, K) coefficients: row k is the sum over j of L[k, j] times basis vector j
     U: Array  # (2 K, K) if task rows are dependent: QR factors of the task's part of L, Q' above R
     order: Array  # (K,) int64: the row that each basis vector came from
-    rest: Array  # (K,) right sides less the contribution of the held unknowns
+    rest: Array  # (K,) right-hand sides less the contribution of the held unknowns
     remain: Array  # (K,) squared length of each task row outside the basis so far; -1: the row is in the basis
     whole: Array  # (K,) squared length of each task row before any projection
     along: Array  # (K,) component of y along each basis vector
@@ -63,9 +63,10 @@ class TwoLevels(NamedTuple):
     roof: Array  # (N,) upper bounds
     scaling: Array  # (N,) the joint rate that an unknown of 1 stands for, see constrained_step.py
     P: Array  # (K, N) coefficients: the inequalities, each of norm 1, then the task
-    rhs: Array  # (K,) right sides
+    rhs: Array  # (K,) right-hand sides
     length: Array  # (K,) norms of the rows of P
-    active: Array  # (K + N,) int8, for each constraint: 0 inactive, 1 active (a bound: the upper one), -1 held at the lower bound
+    # (K + N,) int8, for each constraint: 0 inactive, 1 active (a bound: the upper one), -1 held at the lower bound
+    active: Array
     now: Pair  # (K + N,) present multipliers; a multiplier has the sign of `active`
     new: Pair  # (K + N,) multipliers of the last equality-constrained problem; for the task's rows `first` is P y - rhs
     b: Basis

@@ -62,9 +62,9 @@ class JointObserver:
         self.offset, self._rate = np.zeros(n), np.zeros(n)
         self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
         self._unheard = 0  # number of coming samples whose measurements may still answer to commands from before a jump
-        self.far: Any = None  # the last measurement, if it was too far from its command to be believed
-        self.doubts = 0  # number of such measurements in a row
-        self.confirmed = False  # whether the last two of them agree: the joints are there
+        self.far: Any = None  # the last measurement if it was doubted, being too far from its command; else None
+        self.doubts = 0  # number of consecutive measurements that were doubted
+        self.confirmed = False  # whether the last two doubted measurements agree, so that the joints really are there
         self.used = False  # whether joints have been measured; from then on the estimate is the command plus the offset
 
     def reset(self, *, jumped: bool = False) -> None:

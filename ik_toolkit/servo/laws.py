@@ -36,10 +36,10 @@ class LawCode(NamedTuple):
 class StepStart(NamedTuple):
     """Codes of how a step begins."""
 
-    with_target: int = 0  # at the target's rate
-    given: int = 1  # at a given rate
-    running: int = 2  # after an earlier command
-    ready: int = 3  # without one, after motion led by other code
+    with_target: int = 0  # the joints begin at the rate of the target
+    given: int = 1  # the joints begin at a given rate
+    running: int = 2  # the step continues from an earlier command
+    ready: int = 3  # other code has moved the joints, so there is no earlier command to continue from
 
 
 LAW, START = LawCode(), StepStart()
@@ -130,7 +130,8 @@ class PseudoInverse(NamedTuple):
 class JointMotion(NamedTuple):
     """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
-    move: Array  # J^+ (ahead - omit e): joint move that corrects all but the part of the error left to later steps
+    # J^+ (ahead - omit e): joint move that corrects the error at the end of the step, but for the share `omit` of the present error
+    move: Array
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
     x2: Array  # the joint rates by which dJ/dt along x1 is multiplied
@@ -141,9 +142,9 @@ class JointMotion(NamedTuple):
 class Briskness(NamedTuple):
     """How fast an error may be closed."""
 
-    fast: float  # share of each joint's speed limit
-    quick: float  # share of each joint's acceleration limit
-    bend: float  # curvature of the tip's path times the error; 0: the curvature is neglected
+    fast: float  # share of each joint's speed limit that may be used
+    quick: float  # share of each joint's acceleration limit that may be used
+    bend: float  # product of the curvature of the tip's path and the error; 0: the curvature is neglected
 
 
 @dual

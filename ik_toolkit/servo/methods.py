@@ -39,7 +39,8 @@ from .stability import GAMMA, best_gains
 
 # [arm reaches per rad] default damping of the pseudo-inverse; joint speed per tip speed then stays below 1 / (2 * 0.02)
 DAMPING = 0.02
-# [1/s] default damping of null-space motion; with less, the null-space motion of one lap places joints badly for the next lap
+# [1/s] default damping of null-space motion; with less, null-space motion during one lap leaves the joints badly placed for the
+# next
 NULL_DAMPING = TAKEN_UP
 
 # For each tracking method: its code in the compiled loop, its options, and a description of one line.

@@ -24,7 +24,7 @@ STEP = 1e-5
 
 @compiled
 class SlackRules(NamedTuple):
-    """How an error with a slack (dead band) is kept inside it."""
+    """Constants by which an error with a slack (dead band) is kept inside the slack."""
 
     nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
     # An error that exceeds its slack by more than this is closed like an error without slack: `beyond` [share of the slack] while

@@ -31,7 +31,8 @@ class Sampling(NamedTuple):
     samples: int = 100  # least number of samples of a motion
     fine: float = 0.03  # largest distance between two samples of a motion [arm reaches, rad]
     closed: float = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
-    # share of the speed by which its start and end may differ: a spline through a sampled lap is off by less
+    # share of the speed by which the velocities at the start and end of a closed path may differ; a spline through a sampled lap
+    # errs by less
     smooth: float = 0.05
 
 
@@ -58,10 +59,10 @@ class Growth(NamedTuple):
 
 
 class Bent(NamedTuple):
-    """A Jacobian of N configurations and its derivatives by the n joints.
+    """Jacobians at N configurations and their derivatives with respect to the n joints.
 
-    J: (N, m, n); H: (N, m, n, n), where H[:, :, j, i] is the derivative of column j by joint i; third: takes x and y (N, n) and
-    returns the derivative (N, m, n), by each joint, of the product (dJ/dt along x) y.
+    J: (N, m, n); H: (N, m, n, n), where H[:, :, j, i] is the derivative of column j with respect to joint i; third: takes x and y
+        (N, n) and returns the derivative (N, m, n) of the product (dJ/dt along x) y with respect to each joint.
     """
 
     J: np.ndarray
@@ -90,7 +91,10 @@ class PathMotion:
     """
 
     def __init__(self, robot: Robot, reference: Reference, q0: Any = None) -> None:
-        """Follow a reference from the solution near q0 (n,), default home, in steps so short that each sample leads on."""
+        """Follow a reference from the solution near q0 (n,), default home.
+
+        Steps are so short that each solution leads to the next.
+        """
         from ..solvers.solve import solve
 
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
@@ -102,7 +106,8 @@ class PathMotion:
         self.times = np.linspace(0.0, reference.duration, count)
         start = robot.home if q0 is None else robot.check_q(q0, "q0")
         self.q = np.tile(solve(robot, reference.target(0.0), q0=start).q, (count, 1))
-        self._last: tuple[float, Any] = 0.0, None  # The samples of the last sample time serve all gains of a chart.
+        # The samples for the last sample time are kept, because all gains of a chart need them.
+        self._last: tuple[float, Any] = 0.0, None
         T = reference.at(self.times)[0]
         for k in range(count):
             self.q[k] = self._follow(self.q[max(k - 1, 0)][None], T[k : k + 1], self.times[k : k + 1])[0]
@@ -181,8 +186,9 @@ def stable_bands(
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...]]:
     """Return the bands of sample rates [Hz] from low to high in which factor(rate), the growth along a path, is below 1.
 
-    Returned are the rates tried (K,), two neighbours by `spacing` apart at most; the factors there (K,); and the bands (first, last
-    rate), their borders found by halving the interval between two rates tried. A band between two of them is missed.
+    Returns the rates that were tried (K,), neighbours at most `spacing` apart; the factors there (K,); and the bands (first, last
+    rate). Each border of a band is found by bisection between two rates that were tried; a band that lies between two neighbours is
+    missed.
     """
     rates = np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(spacing)))
     rates[-1] = high
@@ -238,7 +244,7 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
     J = chain.forward(Q[:, owner], jacobian=True)[1]
     u, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
     later = np.arange(L)[:, None, None] >= np.arange(L)[:, None]
-    # [t, r] is w_r x u_t and w_r x w_t.
+    # Entry [t, r] holds w_r x u_t and w_r x w_t.
     by_u, by_w = np.cross(w[:, None], u[:, :, None]), np.cross(w[:, None], w[:, :, None])
     by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
     sums = np.eye(n)[owner]
@@ -292,20 +298,23 @@ def step_matrices(
     def along(x: np.ndarray) -> np.ndarray:  # D(x), the derivative of J along x
         return np.einsum("kmji,ki->kmj", H, x)
 
-    def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y by q
+    def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y with respect to q
         return np.einsum("kmji,kj->kmi", H, y)
 
-    def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:  # the derivative of J^+ b by q; by_q is that of b
+    # the derivative of J^+ b with respect to q; by_q is that of b
+    def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:
         y = times(P, b)
         dual, left = times(P.swapaxes(1, 2), y), b - times(J, y)
         outer = free @ np.einsum("kmji,km->kji", H, dual) + P @ P.swapaxes(1, 2) @ np.einsum("kmji,km->kji", H, left)
         return P @ (by_q - turned(y)) + outer
 
-    behind, coming = (-_logarithm(e) @ J for e in (orbit.error, orbit.ahead))  # derivatives of the errors by q
+    # derivatives of the errors with respect to q
+    behind, coming = (-_logarithm(e) @ J for e in (orbit.error, orbit.ahead))
     if method == "cv":
         u = inverse(orbit.v + gains["kappa"] * orbit.error, gains["kappa"] * behind)
         return _blocks([[eye + 1.5 * h * u, -0.5 * h * eye], [u, 0.0 * eye]])
-    drift = inverse(times(J, qd), turned(qd))  # minus the derivative of the null-space part of the rates by q
+    # minus the derivative, with respect to q, of the null-space part of the rates
+    drift = inverse(times(J, qd), turned(qd))
     if method == "ca":
         kp, kd = gains["kp"], gains["kd"]
         D = along(qd)
@@ -326,7 +335,7 @@ def step_matrices(
         return eye + move
     # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), where s = J^+ b, and x, y are qd or s / h + free qd.
     g, reading = (0.5, gains.get("reading", 2)) if method == "aa" else (gains["gamma"], 3)
-    rates = (qd, np.zeros_like(eye), eye)  # with its derivatives by q and by qd
+    rates = (qd, np.zeros_like(eye), eye)  # the rates x and y, with their derivatives with respect to q and qd
     expected = (times(P, b) / h + times(free, qd), move / h - drift, free)
     x, y = expected if reading == 3 else rates, rates if reading == 1 else expected
     curve, by_x, by_y = times(along(x[0]), y[0]), turned(y[0]), along(x[0])

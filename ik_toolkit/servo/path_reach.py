@@ -13,7 +13,7 @@ from ..text import angle, length
 
 
 class Surveying(NamedTuple):
-    """How finely a path is looked at, and which changes are tried where a part of it is out of reach."""
+    """Constants that say how finely a path is sampled, and which changes are tried if a part of it is out of reach."""
 
     # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
     close: tuple[float, float] = (1e-4, 2e-4)
@@ -258,7 +258,7 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
     J = _jacobians(robot, posed, path)
     U, sigma, V = np.linalg.svd(J)
     least = sigma.shape[1] - 1
-    # Entry i of u' (dJ along v) is the derivative of sigma = u'J v by joint i: mixed derivatives commute.
+    # Entry i of u' (dJ along v) is the derivative of sigma = u'J v with respect to joint i, because mixed derivatives commute.
     change = _jacobians(robot, posed, path + SURVEY.probe * V[:, least] * robot.chain.unit) - J
     slope = np.einsum("km,kmn->kn", U[:, :, least], change)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)

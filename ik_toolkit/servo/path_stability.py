@@ -22,7 +22,8 @@ from ..validate import not_negative, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
 from .stability import BEST_CA, WITHOUT, best_gains, complete, longest_step, mapping_matrix
 
-FAR = 0.15  # [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
+# [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
+FAR = 0.15
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,7 +88,7 @@ def least_rate(
     fixed: dict[str, Any] = complete(method, gains)
     own = [name for name in gains if name not in WITHOUT]
     tried: dict[str, Any] = fixed if own else best_gains(method, 1.0) | gains
-    mapping_matrix(method, 1.0, **tried)  # raises for a gain missing or wrong
+    mapping_matrix(method, 1.0, **tried)  # raises an error if a gain is missing or wrong
     motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping [1/s]")
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:
@@ -201,7 +202,8 @@ def stability_chart(
     for i, count in enumerate(counts):
         for j, x in enumerate(gain):
             used = {"kappa": x} if method == "cv" else {"kp": kp_share * x * x, "kd": x}
-            # With a sample time of 1 s, gains are gains times the sample time; the pace makes the number of samples right.
+            # With a sample time of 1 s, a gain equals the gain times the sample time; `pace` is set so that the path has the right
+            # number of samples.
             per_step[i, j] = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count)).per_step
     kept = kp_share if method == "ca" else 0.0
     return StabilityChart(method, robot.name, path.name, kept, gain, counts, length / counts, per_step)

@@ -129,7 +129,7 @@ def locked(limits: np.ndarray) -> bool:
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
-FAST = VELOCITY | RECOVERING  # limits that hold a joint back only temporarily
+FAST = VELOCITY | RECOVERING  # bits of the limits that hold a joint back only temporarily
 
 
 class Searching(NamedTuple):
@@ -157,7 +157,7 @@ class Moving(NamedTuple):
     far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
     barred: int = 5  # number of postures remembered as blocked by a collision
     arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-    # [s] The same for a target that stands still: it cannot move away meanwhile, so the move goes on nearly to its end.
+    # [s] This time if the target stands still: such a target does not move away meanwhile, so the move continues nearly to its end.
     close: float = 1e-3
 
 
@@ -325,7 +325,7 @@ class Reconfiguration:
             self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
-        self.goal, self._place = goal, place  # The target may have moved on since; `go` follows it from there.
+        self.goal, self._place = goal, place  # The target may have moved on since then; `go` lets the goal follow it.
 
     def _enough(self, stands: bool) -> float:
         """Return the accumulated error [m s] that justifies the move last found."""

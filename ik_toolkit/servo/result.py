@@ -23,7 +23,7 @@ from .loop import STOP
 from .path_reach import Survey
 from .stability import GainCheck
 
-ROUNDING = 1e-6  # A clock that lags by less than this share of a step is not slowed, because its time is a rounded sum.
+ROUNDING = 1e-6  # a lag of the reference's clock below this share of a step is rounding
 
 
 class TrackStatus(Enum):

@@ -34,8 +34,8 @@ class Retiming(NamedTuple):
     acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
     tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
     faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
-    joints: float = 1.2  # factor of a raise on the joint limits of redundant robots
-    tip: float = 1.5  # factor of a raise on the allowed tip error
+    joints: float = 1.2  # factor by which the joint limits of a redundant robot are raised for a faster time law
+    tip: float = 1.5  # factor by which the allowed error of the tip is raised for a faster time law
     far_off: float = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
@@ -117,7 +117,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` samples `fine` more densely
+        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` makes `fine` denser
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         weights, _, _ = tracker._settings.counts
@@ -154,7 +154,7 @@ class Run:
         from_rest = moves and at_rest(self.tracker) and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or a large initial error
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -222,7 +222,7 @@ class Run:
                 break
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
-        slowest = found[0][0] == 0 and found[0][1] > self.most  # Too slow by far: another posture would not help.
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # then another posture would not help
         if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
             planned = self._planned(samples)
             if planned is not None:

@@ -39,7 +39,8 @@ from .retimed_run import Run, Taken, at_rest
 from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
-COUNTS = ("mask", "slack", "free_turn", "frame", "priority", "relative_to")  # options that select which errors count
+# names of the options that select which errors count
+COUNTS = ("mask", "slack", "free_turn", "frame", "priority", "relative_to")
 MAX_STRETCH = 10.0  # By default a run may take up to this many times the duration of its reference.
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
@@ -126,7 +127,7 @@ def track(
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
-    seen = np.linspace(0.0, duration, 65)  # enough to see how far a path goes
+    seen = np.linspace(0.0, duration, 65)  # enough samples to measure how far a path extends
     doubt_far(robot, np.stack([one.at(seen)[0] for one in references], axis=1), "the path")
     wishes = {name: options[name] for name in ("avoid_collisions", "priority") if name in options}
     q0 = _start(robot, references, wishes) if q0 is None else q0

@@ -35,7 +35,10 @@ BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the
 
 @inner
 def remember(state, near, beyond, h):
-    """Note in `state` whether the pose is singular (near), and for WEAK.side [s] that a target was out of reach (beyond)."""
+    """Update STATE.near after a step of h [s]: near: whether the pose is singular.
+
+    beyond: whether the target is out of reach there.
+    """
     if near:
         state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
     elif state[STATE.near] != 0.0:

@@ -195,7 +195,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_bent(W, v, sigma, r, away, x):
-    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or v (n,)."""
+    """Write to x (n,) the joint direction that `bent_direction` starts from: `away` (n,) less what moves the tip, or v (n,)."""
     copy(away, x)
     size = leave_modes(W, sigma, r, x)
     for i in range(x.shape[0]):

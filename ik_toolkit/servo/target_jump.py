@@ -32,7 +32,7 @@ class Leaping(NamedTuple):
     # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
     points: int = 24
     torn: float = 4.0  # A line that takes this many times as long as a joint move must contain a change of posture.
-    near: float = 2e-3  # [m] A smaller error (in which 1 rad counts as length_scale) is left to the tracking method.
+    near: float = 2e-3  # [m] An error smaller than this (1 rad counts as length_scale) is left to the tracking method.
     # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
     slow: float = 0.5
     # The posture that moves slow joints less is taken if its move takes less than this share of the time.

@@ -52,7 +52,7 @@ class Stand(NamedTuple):
     """
 
     seconds: int  # [s] for which the target has stood still, to within STILL
-    leapt: int  # 1: the target jumped to the place where it stands
+    leapt: int  # 1: the target jumped to the pose at which it now stands still
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
     rest: int  # [s] for which the target has been at rest; a trembling target never is
     known: int  # 1: the rest of the array holds the F poses at which the target stands still
@@ -214,7 +214,7 @@ class Stream(CopiesViews):
         self.pace = 0.0
 
     def look_anew(self) -> None:
-        """Forget where the target stood: the next time it stands still, it counts as having jumped there."""
+        """Forget the pose at which the target stood still, so that it counts as having jumped when it next stands still."""
         self.stand[:] = 0.0
         self.stand[STAND.leapt] = 1.0
         self.unseen = 0.0

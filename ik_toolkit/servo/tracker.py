@@ -118,7 +118,7 @@ class Tracker(CopiesViews, ReadOnly):
         n, m = robot.n, 6 * self.stream.tips
         moves = bool(limits) and self._mode == DIRECT
         self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
-        # Each of these leads the joints where the method fails or is slow.
+        # Each of these objects leads the joints where the tracking method fails or is slow.
         self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
@@ -127,7 +127,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
         self._laws: dict[float, np.ndarray] = {}
-        self._ordered: tuple = ()  # arguments of the last call of `_order`
+        self._ordered: tuple = ()  # arguments of the last call of `_order`, which does nothing if they have not changed
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
         self.reset(q0, rate0=rate0)
@@ -149,7 +149,7 @@ class Tracker(CopiesViews, ReadOnly):
             one, other = self._touching
             raise InvalidConfiguration(f"at q0 '{one}' touches '{other}'; start where nothing touches")
         self._late = self._longest
-        if self.secondary.cost is not None:  # an invalid cost raises now, not in a loop
+        if self.secondary.cost is not None:  # an invalid cost raises an error now, and not later in a control loop
             self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:

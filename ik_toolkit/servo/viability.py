@@ -47,19 +47,20 @@ MARGIN = LimitMargins()
 
 @compiled
 class Calming(NamedTuple):
-    """When a joint counts as oscillating, and how it is calmed.
+    """Thresholds by which a joint counts as oscillating, and limits on the acceleration of such a joint.
 
     Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
     """
 
     slow: float = 0.05  # Only motions faster than this share of the speed limit count.
-    reversals: float = 2.0  # so many reversals in a row make a joint oscillate
+    reversals: float = 2.0  # number of consecutive reversals after which a joint counts as oscillating
     window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    # [s] for which joints are calmed after a limit, an inequality or a singular pose hindered them
+    # [s] for which oscillating joints are slowed after a limit, an inequality or a singular pose hindered them
     lasting: float = 0.2
-    gain: float = 0.75  # [1/s] The speed of an oscillating joint may grow by this times its speed limit,
-    growth: float = 10.0  # [1/s] plus this times its speed.
+    # [1/s] An oscillating joint may gain speed at this rate times its speed limit, plus `growth` times its speed.
+    gain: float = 0.75
+    growth: float = 10.0  # [1/s] factor of a joint's speed in the bound that `gain` describes
 
 
 CALMING = Calming()
@@ -188,7 +189,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
 @dual
 def boxes(q, rate, limits, gamma, h, late, box):
-    """Write `joint_box` of every joint to `box`; return True if any joint is recovering.
+    """Write the bounds on the next rate of every joint to `box`; return True if any joint has to return inside its limits.
 
     q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration.
     """
@@ -367,7 +368,8 @@ def brake(first, gamma, h, late, limits, Q, R, L):
 
     Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K, n)
     receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too few. Each joint brakes
-    as in `advance` with x = 0, inside limits (4, n), for later steps of up to late [s]. All joints are in the units of the limits.
+    as in `advance` with x = 0, inside limits (4, n), so that limits also hold if later steps last up to late [s]. Joint values are
+    in the units of the limits.
     """
     n = Q.shape[1]
     x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()

@@ -150,7 +150,10 @@ def record_of(block):
 
 # -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
-    """Allocate a flat array of zeros for arrays of these shapes, write the sizes into its head, and return its views by `of`."""
+    """Allocate a flat array of zeros for arrays of these shapes.
+
+    Write the sizes into its head, and return the views made by `of`.
+    """
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
     block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
     block[1 : 1 + len(counts)] = counts
@@ -193,7 +196,7 @@ class Bench(NamedTuple):
     t: Array  # (m,) scratch
     y: Array  # (max(n, m),) scratch
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
-    H: Array  # (max(n, m), max(n, m)) another, damped factor
+    H: Array  # (max(n, m), max(n, m)) factor for corrections that are damped because limits block them, see `laws.ease`
     J: Array  # (n, m) transposed Jacobian of the task
     W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
     V: Array  # (m, n) v_k of the singular directions as rows

@@ -41,7 +41,10 @@ def with_search(plan: Any, closed: Callable) -> Callable:
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """Return the search, the same search with one attempt, and the joint values both hold; made when first needed."""
+        """Return the search, the same search with one attempt, and the joint values that both hold.
+
+        They are made when first needed.
+        """
         if not made:
             options = dict(PLAIN)
             held = plan.rule.held(robot)
@@ -56,7 +59,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain
-        if len(flat) == plan.width:  # one target without history must be fast
+        if len(flat) == plan.width:  # a call for one target without history must be fast
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
@@ -76,7 +79,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of history; with more targets there is no history.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without a start it is home
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without q0 the start is home
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -143,7 +146,7 @@ def continue_with(
             hist[: len(noted)] = noted
         else:
             plan.run(T[some], how[0], starts, how[1], found)
-        # The row may keep the status of the closed form, so its q is the closest one however this search ended.
+        # The row may keep the status of the closed form, so q must be the closest configuration, however this search ended.
         ended = (STALLED, LIMIT_BLOCKED, UNREACHABLE, ITERATION_LIMIT, SINGULAR)
         finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)

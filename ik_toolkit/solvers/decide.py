@@ -27,14 +27,14 @@ from .status import DECIDED, NEAREST
 from .task import POSES
 
 OPEN = (STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR)  # statuses that prove nothing
-# Options that this decision respects; with any other option the search goes on alone.
+# Options that the decision by elimination respects; with any other option the search continues without it.
 HONOURED = {
     "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
 }  # fmt: skip
 
 
 class DecisionMargins(NamedTuple):
-    """Margins by which a certificate must be clear, as a search may stop anywhere within its tolerances e [over the arm's size]."""
+    """Margins by which a certificate must be clear: a search may stop anywhere within its tolerances e [over the arm's size]."""
 
     attempts: int = 3  # attempts of the search before the elimination; they solve most targets, in a tenth of the time
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
@@ -44,7 +44,8 @@ class DecisionMargins(NamedTuple):
     same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
     # with a solution d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor
     gain: float = 10.0
-    # With looser tolerances nothing is decided: from 5 mm on, poses within them were found where the exact pose has no solution.
+    # With looser tolerances nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose had no
+    # solution.
     loosest: float = 5e-4  # [rad, or lengths over the reach]
 
 
@@ -52,11 +53,11 @@ MARGINS = DecisionMargins()
 
 
 class Blocked(NamedTuple):
-    """Where every solution breaks a limit: the solution that breaks its limits least."""
+    """For a target whose solutions all break a limit: the solution that breaks its limits least."""
 
     q: np.ndarray  # joint values (n,) [rad]
-    joint: str  # joint that breaks its limit most
-    excess: float  # by how much [rad]
+    joint: str  # name of the joint that breaks its limit most
+    excess: float  # by how much that joint breaks its limit [rad]
     solutions: int  # number of solutions if limits are ignored
 
 
@@ -83,7 +84,10 @@ def elimination_plan(plan: Plan) -> Plan | None:
 
 
 def deciding(plan: Plan) -> "Deciding | None":
-    """Return the search completed by the elimination, for poses, or None where the options or the robot forbid it."""
+    """Return a plan that runs a short search, then the elimination (poses only).
+
+    None if the options or the robot do not allow it.
+    """
     o = plan.options
     asked = {f.name for f in fields(Options) if getattr(o, f.name) != f.default}
     plain = plan.row.name == GENERAL and plan.rule == plan.row.load()() and not plan.robot.constraints
@@ -172,7 +176,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             row[AT.evaluations] += made[AT.evaluations]
             if made[0] == CONVERGED:
                 continue  # false alarm: only a pose beyond the limits is within the tolerances
-        if count > 0:  # solutions moved onto their limits
+        if count > 0:  # these solutions were moved onto their limits
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             now = (row[AT.position] / length) ** 2 + row[AT.rotation] ** 2
@@ -197,22 +201,22 @@ class Deciding(Plan):
 
     @functools.cached_property
     def first(self) -> Plan:
-        """The short search that comes first."""
+        """The plan of the short search that runs before the elimination."""
         return self.varied(restarts=MARGINS.attempts - 1, closest=False)
 
     @functools.cached_property
     def open(self) -> tuple[int, ...]:
-        """The statuses of the short search that leave something to decide."""
+        """The statuses with which the short search leaves a target to the elimination."""
         return (*OPEN, CONVERGED) if self.options.closest else OPEN
 
     @functools.cached_property
     def exact(self) -> Plan:
-        """The elimination, with the same options."""
+        """The plan of the elimination, with the same options."""
         return elimination_plan(self)  # pyright: ignore[reportReturnType]
 
     @functools.cached_property
     def exact_free(self) -> Plan:
-        """The elimination without limits."""
+        """The plan of the elimination without joint limits."""
         return self.exact.varied(limits=False)
 
     @functools.cached_property

@@ -27,7 +27,8 @@ ONE_ATTEMPT: dict[str, Any] = {
 class SearchThresholds(NamedTuple):
     """Thresholds of the numerical search; angles in rad, lengths over the robot's reach."""
 
-    same: float = 1e-3  # solutions are the same if no joint differs by more [rad, or length over the reach]
+    # two solutions are the same if no joint differs by more than this [rad, or length over the reach]
+    same: float = 1e-3
     # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
     flat: float = 1e-4  # directions with a smaller singular value of the Jacobian may lead along a self-motion
@@ -63,7 +64,7 @@ def search_solutions(
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # rounding in the line above may exceed a limit
+        near = np.clip(near, low, high)  # rounding in the line above may move a joint beyond a limit
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -117,9 +118,9 @@ def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.n
 
 
 def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redundant: bool) -> tuple[Family, ...]:
-    """Find self-motions: there the Jacobian leaves a direction free, and a step along it leads to another solution.
+    """Find self-motions: solutions at which the Jacobian leaves a direction free, along which a step leads to another solution.
 
-    At an isolated singular solution there is none, because the search returns to it after the step.
+    An isolated singular solution has no self-motion: after the step the search returns to it.
     """
     robot = found.robot
     if not len(found) or counts_in_part(kinds, single.options):

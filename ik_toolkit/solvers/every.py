@@ -25,7 +25,8 @@ from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
 SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
-APART = 1e-6  # solutions are the same if no joint differs by more [rad]; with a free position each is found twice
+# two solutions are the same if no joint differs by more than this [rad]; for a position with free orientation each is found twice
+APART = 1e-6
 
 
 class CertainLists(NamedTuple):
@@ -33,7 +34,7 @@ class CertainLists(NamedTuple):
 
     plan: Plan
     table: np.ndarray  # (M, 3 + n) the rows of `polish.list_branches` of all poses
-    # (N, 2) where the rows of each pose begin, and their number, or -1 if its list is not certain
+    # (N, 2) index of the first row of each pose, and number of its rows, or -1 if its list is not certain
     counts: list[list[int]]
     notes: np.ndarray  # (N, .) evidence, see `certificate_of`
 
@@ -56,7 +57,7 @@ class CertainLists(NamedTuple):
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
-    places = int(solver.robot.by_tip)  # leading axes of a Tree's single target
+    places = int(solver.robot.by_tip)  # number of leading axes of a single target of a Tree
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
@@ -66,7 +67,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         if plain:
             target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
         more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
-        for a in range(0, len(target), 1024):  # so many take 5 MB
+        for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
             some = target[a : a + 1024]
             lists.append(_certain(plan, some, q0, count) if plain else None)
             for k, one in enumerate(some):
@@ -90,7 +91,7 @@ def _plan_for(solver: Any, kinds: tuple) -> Plan:
 def _find(
     solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool, found: Solutions | None = None
 ) -> Solutions:
-    """Find Solutions of one target, for which `_certain` has listed those `found` (None: not yet, or it cannot)."""
+    """Find Solutions of one target; found: those that `_certain` has listed, or None."""
     T, kinds, notice = _read(solver, target) if found is None else (target[None], POSES, "")
     plan = _plan_for(solver, kinds)
     o = plan.options
@@ -135,7 +136,7 @@ def _find(
     if not len(found):
         failed = solver(target, q0)
         if failed.success and found.complete and kinds == POSES:
-            # The exact solutions are beyond a limit, but a configuration inside the limits is within the tolerances.
+            # All exact solutions break a limit, but a configuration inside the limits is within the tolerances.
             errors = np.array([failed.position_error]), np.array([failed.orientation_error])
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
             found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
@@ -283,14 +284,18 @@ def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
     if kinds == (POSITION,):
-        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes in general position
+        # the position needs three free rotations: any three axes in general position
+        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None
     if kinds == POSES:
         return None if counts.free_turn is None else np.array([counts.free_turn])
     return np.array([kinds[0][1]]) if kinds[0][0] == AXIS and counts.free_turn is None else None
 
 
 def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
-    """Return the array (52,) of the arm with its virtual joints (see `answer.solve_loops`), or None if these are not six."""
+    """Return the array (52,) that describes an arm with its virtual joints, see `answer.solve_loops`.
+
+    None unless there are six joints.
+    """
     from ..kernel.elimination.binding import make_arm
     from .closed_form.geometry import read_screws
 
@@ -326,7 +331,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
     into_limits(Q, np.array([*limits, start[0]]), q, excess)
     worst = excess.max(axis=1, initial=0.0)
     if ((worst > 0.0) & (worst < BORDER)).any():
-        return None  # Whether that one keeps its limits cannot be told.
+        return None  # It cannot be decided whether that solution keeps its limits.
     legal = q[worst == 0.0]
     found = search_solutions(plan, T, kinds, start, 0, count, legal)
     if len(found) != len(legal) or found.families:
@@ -340,11 +345,11 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Sample the self-motions of an arm of seven joints at T (1, 4, 4): return Solutions or None, and where was searched."""
+    """Sample the self-motions of a seven-joint arm at T (1, 4, 4): return Solutions or None, and a text on what was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
-    # A curve of no length, as where joints are at their limits, is an isolated solution.
+    # A self-motion of length zero, which occurs where joints are at their limits, is an isolated solution.
     curves = [
         one for one in (self_motions(plan, T[0]) if cuts else []) if (one.upper - one.lower).max() > FOLLOWING.same
     ]

@@ -48,7 +48,7 @@ BROKEN = "every branch violates a joint limit"
 
 
 def sentence(result: Any) -> str:
-    """Return one sentence on how a solve ended and what to try; after a failure with several tips, with the errors left at each."""
+    """Return one sentence on how a solve ended and what to try. If several tips failed, it gives the errors left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
     left, starts = _left(result), result.restarts + 1
     if status == Status.CONSTRAINT_OPEN:
@@ -131,9 +131,11 @@ def _cause(result: Any) -> str:
         return "were millimetres meant?"
     if result.status not in SHORT:
         return ""
-    ordered = result._of.plan.options.priority is not None  # lower levels may be missed, so few joints are no cause
+    # with a priority lower levels may be missed, so few joints are no cause
+    ordered = result._of.plan.options.priority is not None
     outside = "" if ordered else _outside(result)
-    blocked = outside or result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
+    # whether limits block the arm was tested, so the cause is known
+    blocked = outside or result.status == Status.LIMIT_BLOCKED
     never, few = [] if blocked else impossible(result), "" if blocked or ordered else too_few_joints(result)
     if not never and (ordered or (not few and result.restarts == 0)):
         return ""  # a single attempt proves nothing about the arm
@@ -182,7 +184,7 @@ def _said(position: float, turned: float | None, unit: bool) -> str:
 def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     """Return the counted errors of each tip without the weights of the mask, and whether they are in [m] and [rad].
 
-    They are not for a solved row of a batch with weights other than 0 and 1: it keeps no target, so its weights stay in.
+    For a solved row of a batch, which keeps no target, weights other than 0 and 1 cannot be removed, so its errors keep them.
     """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]

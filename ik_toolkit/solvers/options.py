@@ -22,7 +22,7 @@ FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may 
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # names of options in other packages, each with a message on what to use here
+OTHERWISE = {  # names of options in other packages, each with a message that says what to use here
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
@@ -34,7 +34,7 @@ FRAMES = ("base", "tip", "target")
 
 @dataclass(frozen=True)
 class Options:
-    """How to run a solver.
+    """Options of a solve, the same for every solver.
 
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs, 1e-14 or more. max_iterations: steps per
     attempt; restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
@@ -106,7 +106,7 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-End = float | None  # an end of a narrowed joint range; None leaves that end as it is
+End = float | None  # lower or upper end of a narrowed joint range; None leaves that end unchanged
 Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
 
 
@@ -204,7 +204,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             values[name] = _number(name, value, 1e-14, math.inf)  # rounding hides less
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed
+            # other packages call the start (q0) a seed
+            if name == "seed" and isinstance(value, list | tuple | np.ndarray):
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")

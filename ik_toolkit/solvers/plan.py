@@ -41,7 +41,7 @@ class Plan:
     the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
     """
 
-    bare = False  # True: failures of a batch are left where the search ended, see `stripped`
+    bare = False  # whether failures of a batch are left where the search ended, see `stripped`
 
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
         """Validate what does not depend on the target. Raises UnknownSolver (for example a method for one tip), InvalidOption."""
@@ -63,7 +63,7 @@ class Plan:
         self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
-        self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan
+        self.memo: dict[Any, Any] = {}  # cache for callers that store derived data with the plan
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
@@ -85,7 +85,7 @@ class Plan:
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
 
     def stripped(self) -> "Plan":
-        """Return the same plan, but leaving the failures of a batch where the search ended: for counting, which does not use q."""
+        """Return this plan, but with failures of a batch left where the search ended, for callers that only count successes."""
         made = copy.copy(self)
         made.bare = True
         return made
@@ -122,11 +122,14 @@ class Plan:
     # ---------------------------------------------------------------------------------------------------------- running
     @property
     def first(self) -> "Plan":
-        """The plan that runs first; `decide` may then solve what it leaves unsolved."""
+        """The plan that runs first; `decide` may then solve the targets that this plan leaves unsolved."""
         return self
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Decide, in place, the result rows (N, width) of targets T left unsolved by the plan `first`; here nothing is done."""
+        """Change, in place, the result rows (N, width) of targets T that the plan `first` left unsolved.
+
+        This class changes none.
+        """
 
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
         """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; write the rows of `out` (N, width).
@@ -259,12 +262,13 @@ class Plan:
     def check_starts(self, Q: np.ndarray) -> tuple[np.ndarray, str]:
         """Validate starts Q (1 or m, n), and clamp them into the limits or refuse them; return them and a notice.
 
-        Of several starts, the one farthest outside is asked about degrees. Raises InvalidConfiguration, which names the target.
+        Of several starts, the one farthest outside the limits is checked for values in degrees. Raises InvalidConfiguration, which
+        names the target.
         """
         robot, k = self.robot, 0
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
-            # The first that is not a number, if there is one.
+            # the first start with a NaN, if there is one
             k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
         robot.check_q(Q[k], self._start_name(Q, k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q

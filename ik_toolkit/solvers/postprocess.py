@@ -22,11 +22,12 @@ from .task import POSE, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
 FEW = 20  # number of attempts, without limits and with them, that test whether limits keep the arm from a target
-ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)  # statuses of failures whose q is moved to the closest configuration
+# statuses of failures whose q is moved to the closest configuration nearby
+ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)
 
 
 class Limits(NamedTuple):
-    """Limits on the work of finishing an answer."""
+    """Limits on the work done after a search to improve its answer or explain its failure."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
     # number of random configurations from which the error is minimised after a failure if a length_scale is given
@@ -94,7 +95,7 @@ def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bo
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
             asked = T[k : k + 1], kinds, start[k : k + 1], given
             blocked = plan.unlimited.solve(*asked)[AT.status] == CONVERGED
-            few = row[AT.restarts] + 1 < FEW  # A longer search has made these attempts already.
+            few = row[AT.restarts] + 1 < FEW  # A search of at least FEW attempts has made these attempts already.
             if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CONVERGED):
                 row[AT.status] = STALLED
     if plan.descends:

@@ -37,7 +37,10 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose, a position and an unreachable target, singly and in a batch; return False if none is taken."""
+    """Call a solver for a pose, a position and an unreachable target, singly and in a batch.
+
+    Returns False if it accepts none of them.
+    """
     T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
     for one in (T, T[..., :3, 3].copy()):

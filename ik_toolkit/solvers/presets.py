@@ -27,7 +27,7 @@ def list_presets(solver: str) -> list[str]:
 
 def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
     """Read a shipped preset, or a file if the name ends in .toml. Raises InvalidOption."""
-    name = str(name)  # A Path is accepted as well.
+    name = str(name)  # a pathlib.Path is accepted as well as a text
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:

@@ -30,7 +30,7 @@ SHOWN = 16  # number of samples of a self-motion that an explanation shows
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
+    """The task of a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
 
     Kinds are those of kernel.counted_error: POSE, POSITION, FREE, or a pair (AXIS, axis).
     """
@@ -216,7 +216,7 @@ def closed_form(cls: Class) -> Class:
 
 def _filled(cls: Any, protocol: Any) -> Any:
     for name in cls._fields:
-        if name in NAMES:  # `solve` takes parameters and options as keywords, so names must differ
+        if name in NAMES:  # `solve` takes both parameters and options as keywords, so their names must differ
             raise TypeError(f"{cls.__name__}: '{name}' is an option of every solver; give the parameter another name")
     if hasattr(cls, "pack") and len(inspect.signature(cls.pack).parameters) < 3:
         raise TypeError(f"{cls.__name__}: pack takes (self, robot, asked)")
@@ -237,14 +237,14 @@ def misfit(row: Row, solver: Any, robot: Any) -> str:
 
 
 def fitted(form: Any, robot: Any) -> Fit:
-    """Return how a robot fits a closed form. Raises UnknownSolver with the reason if it does not."""
+    """Return how a robot fits a closed form. Raises UnknownSolver, with the reason, if the robot does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)
     return form.recognise(robot.chain)
 
 
 def require(row: Row, solver: Any, asked: Asked) -> None:
-    """Raise UnknownSolver if the solver does not fit the robot, InvalidOption if it does not do what is asked."""
+    """Raise UnknownSolver if a solver does not fit a robot, InvalidOption if it cannot do the task."""
     if reason := misfit(row, solver, asked.robot):
         raise UnknownSolver(reason)
     if reason := refusal(row, solver, asked):

@@ -46,7 +46,7 @@ LENGTH = Length()
 
 @dataclass(frozen=True)
 class Row:
-    """What is known of a solver without importing it.
+    """The registry's entry for a solver: what is known without importing it.
 
     `target` is "module:Class" of the rule or closed form, `search` its default length, `several` the same for several tips if that
     differs. `pose` and `position` say whether it solves such targets. A solver that is `one_tip` is not for several tips; one that
@@ -218,7 +218,8 @@ ROWS: tuple[Row, ...] = (
     ),
 )
 GROUP = "ik_toolkit.solvers"  # group of the entry points by which packages offer solvers
-NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # no commas or colons, which commands use in lists and in FILE:CLASS
+# names have no commas or colons, which commands use in lists and in FILE:CLASS
+NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")
 LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
@@ -236,7 +237,7 @@ def list_rows() -> tuple[Row, ...]:
     return (*ROWS, *registered().values())
 
 
-@functools.cache  # cached, because listing installed packages takes milliseconds
+@functools.cache  # the result is cached, because listing installed packages takes milliseconds
 def registered() -> dict[str, Row]:
     """Return the registry rows of other packages' solvers by name; unusable ones are left out with a warning."""
     import importlib.metadata
@@ -291,7 +292,7 @@ def find_row(solver: Any) -> Row:
             raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
         return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    if hasattr(cls, "loop"):  # set by protocol.rule or protocol.closed_form
+    if hasattr(cls, "loop"):  # the attribute `loop` is set by protocol.rule or protocol.closed_form
         for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
             if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
                 return row
@@ -370,8 +371,8 @@ def solver_from_file(text: str) -> type:
 @functools.cache  # each file runs once per process
 def _classes(path: Path) -> dict[str, type]:
     """Return the classes that a Python file defines, by name. Raises InvalidOption if it does not run."""
-    # The module gets an own name, so that a file named like a module (numpy.py) hides nothing. The name depends on the content, so
-    # that code compiled for a file is found again after it moved.
+    # The module gets a name of its own, so that a file called numpy.py does not hide that package. The name depends on the content,
+    # so that compiled code is found again after the file has moved.
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -383,7 +384,7 @@ def _classes(path: Path) -> dict[str, type]:
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a script may call sys.exit
+    except (Exception, SystemExit) as error:  # SystemExit, because a script may call sys.exit
         del sys.modules[module_name]
         at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = getattr(error, "lineno", None) or (at[-1] if at else None)

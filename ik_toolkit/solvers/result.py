@@ -245,7 +245,7 @@ class Result(ReadOnly):
         It is computed on demand, as by `CollisionModel.distance`; None if collisions are not avoided, or there are no pairs to
         test.
         """
-        from .collision_free import collision_model  # That module imports this one.
+        from .collision_free import collision_model  # imported here, because that module imports this one
 
         asked = self._of.plan.options.avoid_collisions
         near = None if asked is False else collision_model(self.robot, asked).distance(self.q)
@@ -305,7 +305,7 @@ class Result(ReadOnly):
             InvalidTarget: The result is a solved row of a batch, which keeps no target.
             MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
-        from .explain.explain import explain_result  # That module imports this one.
+        from .explain.explain import explain_result  # imported here, because that module imports this one
 
         return explain_result(self)
 

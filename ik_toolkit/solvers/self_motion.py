@@ -30,12 +30,12 @@ N = 7
 
 @compiled
 class MotionEnd(NamedTuple):
-    """Why a curve ends."""
+    """Codes of the reasons why a self-motion curve ends."""
 
-    closed: int = 0  # it closes: it is back at its beginning
+    closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
     singular: int = 2  # a singular pose, where the next step would be too short
-    long: int = 3  # it was not followed any further
+    long: int = 3  # the curve was not followed any further
 
 
 @compiled
@@ -43,16 +43,16 @@ class Following(NamedTuple):
     """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
 
     slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
-    longest: float = 0.1  # longest step
-    shortest: float = 1e-6  # shortest step; a curve that needs a shorter one is taken to end at a singular pose
+    longest: float = 0.1  # longest step [norm of the joint motion, rad]
+    shortest: float = 1e-6  # shortest step [rad]; a curve that needs a shorter one ends at a singular pose
     straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
     newton: int = 8  # highest number of Newton steps that bring a point onto the target
     closed: float = 1e-22  # squared error at which these steps end
     damping: float = 1e-12  # damping of these steps
-    level: float = 1e-5  # where a joint moves by a smaller share of a step it reverses
-    same: float = 1e-6  # a point is on a curve if it is this near
-    past: int = 64  # index of the first point, after point 0, tested for closing; later every point twice as far
-    halvings: int = 40  # bisections that locate an end
+    level: float = 1e-5  # a joint that moves by a smaller share of a step counts as reversing there
+    same: float = 1e-6  # a point lies on a curve if it is nearer than this [rad]
+    past: int = 64  # index of the first point at which closing is tested, then at every doubled index
+    halvings: int = 40  # number of bisections that locate an end of a curve
     points: int = 2000  # highest number of points of a curve in each direction
 
 
@@ -63,8 +63,8 @@ class SelfMotion(NamedTuple):
     """A self-motion within the limits: a curve of solutions of one pose."""
 
     points: np.ndarray  # (M, 7) [rad], joint values modulo 2 pi; the points where a joint reverses are among them
-    lower: np.ndarray  # (7,) least value of each joint on it, at an end or where the joint reverses (a fold)
-    upper: np.ndarray  # (7,) largest value
+    lower: np.ndarray  # (7,) least value of each joint on the curve, at an end or where the joint reverses (a fold)
+    upper: np.ndarray  # (7,) largest value of each joint on the curve
     ends: tuple[tuple[int, int], ...]  # for each end its `MotionEnd`, and the joint that is at its limit there, or -1
 
 
@@ -203,7 +203,7 @@ def follow(rows, ends, opt, T, seeds, seen, first, out):
             copy(x, out[way, counts[way]])
             counts[way] += 1
             if counts[way] > past + 3 and stops[way] < 0 and passes(p, box, q, t, step, out[way, past], y, v):
-                # Near a singular pose it has switched to another curve: only that closed curve is kept, without the way to it.
+                # Near a singular pose the continuation has switched to another, closed curve: only that curve is kept.
                 copy(y, out[way, counts[way] - 1])
                 stops[way], stops[0], counts[0], counts[1] = END.closed, END.closed, counts[way] - past, 1
                 for k in range(counts[0]):
@@ -271,7 +271,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
 
-    # A joint may pass within one step through all that lies beyond its limits: that gets two points.
+    # within one step a joint may cross all that lies beyond its limits: two points mark this
     rows, outer = [points[0]], 0.5 * (half + np.pi)
     for a, b in pairwise(points):
         passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi)).tolist()
@@ -326,7 +326,7 @@ class Slicing(NamedTuple):
     joint: int  # index of the fixed joint, 0 or 6
     screws: Screws
     arm: np.ndarray  # (52,) geometry of the six others, see `kernel.elimination.answer.solve_loops`
-    forms: np.ndarray  # orderings of their loop, see there
+    forms: np.ndarray  # orderings of the loop of these six joints, see there
 
 
 def slicings_of(plan: Plan) -> list[Slicing]:
@@ -369,7 +369,7 @@ def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> l
     cuts, robot = slicings_of(plan), plan.robot
     free = np.array([[-np.inf], [np.inf]])
     limits = np.array([robot.lower, robot.upper]) if plan.options.limits else free * np.ones(N)
-    limits = np.where(limits[1] - limits[0] >= TAU, free, limits)  # Such a joint reaches every angle.
+    limits = np.where(limits[1] - limits[0] >= TAU, free, limits)  # a full turn covers every angle
     values, found = (np.arange(slices) + 0.5) / slices * TAU - np.pi, []
     for cut in cuts:
         said = answers(cut.forms, cut.arm, sliced(cut, T, values))

@@ -34,9 +34,10 @@ from .task import POSES, read_target
 
 # numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
 FLOAT = np.dtype(np.float64)
-CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # options that make sense for one answer only
+# options that make sense only if a single answer is returned
+CHOOSING = ("closest", "objective", "history", "follow", "timeout")
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
-EXACT = {  # closed forms honour or ignore these options; 'auto' takes the search if any other is given
+EXACT = {  # options that closed forms respect or may ignore; 'auto' takes the search if any other option is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "length_scale", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
@@ -130,7 +131,7 @@ class Solver(ReadOnly):
             start, note = plan.check_start(q0)
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
-        # The compiled search rejected the input: it is corrected, or refused with a message.
+        # The compiled search rejected the input, which is now corrected, or refused with a message.
         status = row[AT.status]
         if status >= BAD_TARGET:
             if status == BAD_TARGET:
@@ -142,7 +143,7 @@ class Solver(ReadOnly):
             status = row[AT.status]
         asked = start.tobytes() if given else b""
         elapsed, waited = perf_counter() - started, 0.0
-        if elapsed > 1e-3:  # [s] A call that compiles, or loads what was compiled, takes longer.
+        if elapsed > 1e-3:  # [s] only calls that compile, or load compiled code, take longer than this
             elapsed -= (waited := compile_time(started))
         outcome = make_outcome((plan, T.tobytes(), kinds, asked, row, elapsed, notice, None, None, None, waited))
         if status != CONVERGED:
@@ -221,7 +222,7 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
         # The types are in the key because named tuples of equal numbers are equal, and so are 1 and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = kept.get(key)
-    except TypeError:  # a parameter such as a matrix cannot be hashed
+    except TypeError:  # a parameter such as a matrix cannot be hashed, so the solver is not cached
         return Solver(robot, solver, **options)
     if found is None:
         with _SOLVERS_LOCK:

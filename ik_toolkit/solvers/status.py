@@ -31,14 +31,16 @@ class Status(enum.IntEnum):
 # Special values of the field `excess` in a result row. SEARCHED: q or status of a closed form's row came from the search after it
 SEARCHED = -1.0
 DECIDED = -2.0  # `excess` of a search's row if the elimination found q, or certified that there is none (see `decide`)
-NEAREST = -3.0  # likewise, if it found q and certified that no solution within the limits is nearer to q0
+# `excess` of a search's row if the elimination found q and certified that no solution within the limits is nearer to q0
+NEAREST = -3.0
 
 
 def is_proven(status: Any, excess: Any, plan: Any) -> Any:
     """Return whether a result row of a plan is a proof, see `Result.proven`; status and excess are arrays or single numbers.
 
-    A closed form that fits only roughly leaves its verdict to the search (SEARCHED). Where a prismatic joint is free, it looks for
-    branches within the limits numerically; LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the target.
+    A closed form that fits only roughly leaves its verdict to the search (SEARCHED). Where a prismatic joint is free, a closed form
+    looks numerically for branches within the limits; LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the
+    target.
     """
     said = plan.row.closed & (status == Status.LIMIT_BLOCKED) & (excess != SEARCHED)
     if plan.row.closed and plan.robot.slides.any() and not plan.rule.held(plan.robot):

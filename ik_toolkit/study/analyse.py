@@ -79,7 +79,8 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
         D = table[:, n + 6 * m :].reshape(count, n, 6)
     axes, unit = robot.chain.ends[:9].reshape(3, 3).T, robot.chain.unit[:, None]
 
-    def plain(maps: np.ndarray) -> np.ndarray:  # The solver's errors are in its own axes, with lengths over the scale.
+    # a map of the solver takes errors in the solver's own axes, with lengths over the scale
+    def plain(maps: np.ndarray) -> np.ndarray:
         linear = maps[:, :, :3] @ axes / robot.chain.scale
         return linear if position_only else np.concatenate([linear, maps[:, :, 3:] @ axes], axis=2)
 
@@ -144,7 +145,7 @@ class LoopAnalysis:
         return solve_batch(self.robot, targets, made, q0=q0, **options).success
 
     def off_slice(self, q: Any, q0: Any) -> np.ndarray:
-        """Return the distance of configurations q (N, n) from the subspace q0 + S w of a solver with one start [norm, rad or m].
+        """Return the distance (N,) [rad or m] of configurations q (N, n) from the subspace q0 + S w of a solver with one start.
 
         Raises InvalidOption if the solver has several starts.
         """
@@ -157,7 +158,7 @@ class LoopAnalysis:
         return np.linalg.norm(moved - S @ np.linalg.lstsq(S, moved, rcond=None)[0], axis=0)
 
     def __str__(self) -> str:
-        """Return the analysis in a few lines."""
+        """Return the most important results of the analysis in a few lines."""
         gain, steps = self.loop_gain.real, np.percentile(self.steps_per_decade, (5, 50, 95), method="nearest")
         bound = "" if self.gain_bound is None else f" (stable between 0 and {self.gain_bound:g} where it is real)"
         return (
@@ -254,7 +255,7 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
     signs = np.array(list(product((1.0,), *[(1.0, -1.0)] * (r - 1)))).T
     J = span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]
     size = np.linalg.norm(J, axis=1, keepdims=True)
-    still = size <= FLAT * size.max(axis=2, keepdims=True)  # such a joint bounds nothing
+    still = size <= FLAT * size.max(axis=2, keepdims=True)  # a joint that does not move the tip bounds nothing
     facets = np.where(still, 0.0, 2.0 * J / np.maximum(size, 1e-300) ** 2).swapaxes(1, 2)
     far = np.zeros(len(J))
     for some in combinations(range(robot.n), r):

@@ -207,7 +207,7 @@ def benchmark(
     asked = [row.name for row in list_rows()] if solvers is None else solver_list(solvers)
     for solver in asked:
         if not is_auto(solver):
-            # An unknown name raises here, but a solver that does not apply to a robot is only skipped.
+            # An unknown name raises an error here, but a solver that does not apply to a robot is only skipped.
             find_row(solver)
     if not arms or not asked:
         raise InvalidOption("a benchmark needs at least one robot and one solver")

@@ -162,7 +162,7 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
         if other.typical() < least * left:
             found, least = other, other.typical() / left
     found = found if least < 0.5 else fit
-    fit.measured.start(found.arm.poses(found.x, found.Q))  # This sets the reference normals of the planes.
+    fit.measured.start(found.arm.poses(found.x, found.Q))  # `start` sets the reference normals of the planes
     if found is not fit:
         found.settle()
     return found, least if found is not fit else 1.0

@@ -44,12 +44,12 @@ class Calibration:
     what: str  # what was measured
     parameters: tuple[str, ...]  # groups of unknowns: joints, frames, tool, base
     unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
-    x: np.ndarray  # (P,) the errors; 0 for those fixed
-    spread: np.ndarray  # (P, P) their covariance, zero for those fixed
+    x: np.ndarray  # (P,) the errors that were found [m or rad]; 0 for fixed unknowns
+    spread: np.ndarray  # (P, P) covariance of these errors, zero for fixed unknowns
     fixed: tuple[FixedUnknown, ...]  # unknowns fixed at their nominal values, and those they cannot be separated from
     rank: int  # number of unknowns that the data determine
-    rank_drawn: int  # the same, evaluated at the nominal arm
-    rank_anywhere: int  # the same, for as many poses spread over the arm's range
+    rank_drawn: int  # number of unknowns that the data would determine at the nominal arm
+    rank_anywhere: int  # number of unknowns that as many poses, spread over the arm's range, would determine
     noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
     before: (
         np.ndarray
@@ -57,7 +57,7 @@ class Calibration:
     after: np.ndarray  # (N,) residuals for the corrected arm [m]
     turned: np.ndarray  # (2, N) orientation residuals [rad] before and after, of measured poses; else empty
     held_out: float | None  # RMS residual [m] of measurements left out of the fit (5-fold cross-validation)
-    outliers: tuple[int, ...]  # rows of measurements that were left out
+    outliers: tuple[int, ...]  # indices of the measurements that were left out of the fit
     reversed: dict[
         str, float
     ]  # joints whose sign is opposite to the model's; ratio of the errors with all of them reversed to those before
@@ -65,10 +65,10 @@ class Calibration:
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
     condition: float  # ratio of the largest to the least singular value of the free unknowns
     touched: np.ndarray  # (K, 3) estimated positions of sockets or fixed ends [m], base frame
-    prior: tuple[float, float]  # prior spread [m, rad]
+    prior: tuple[float, float]  # standard deviations of the prior [m, rad]
     T_world_base: np.ndarray  # (4, 4) the base in the frame of the measurements
     notes: tuple[str, ...]  # sentences on what the data do not determine and on what is unusual
-    converged: bool  # whether the last fit ended by its tolerances
+    converged: bool  # whether the last fit ended because it met its tolerances
     spread_all: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
     signs: np.ndarray  # (n,) factors 1 or -1 of the joint values
     q: np.ndarray  # (N, n) joint values of the measurements
@@ -146,7 +146,7 @@ class Calibration:
 
     @property
     def credible(self) -> bool:
-        """Whether the fit converged, no error is implausible, and what is left is below 5 % of the reach.
+        """Whether the fit converged, no error is implausible, and the remaining residual is below 5 % of the reach.
 
         If not, rows, units, labels or the robot are probably mixed up, and the corrected robot is not to be used.
         """
@@ -259,7 +259,7 @@ class Calibration:
         return self.table().html()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists."""
+        """Return the calibration as plain numbers, strings and lists."""
         before, after = self.rms
         return {
             "robot": self.drawn.name,

@@ -89,7 +89,8 @@ class ArmFit:
                 last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
             return last[v.tobytes()]
 
-        def soft(squares: np.ndarray) -> np.ndarray:  # SciPy's soft_l1 loss, but quadratic for the prior
+        # SciPy's soft_l1 loss for the measurements; the loss of the prior stays quadratic
+        def soft(squares: np.ndarray) -> np.ndarray:
             grown = np.sqrt(1.0 + squares)
             rho = np.array([2.0 * (grown - 1.0), 1.0 / grown, -0.5 / grown**3])
             rho[:, -len(prior) :] = squares[-len(prior) :], np.ones(len(prior)), np.zeros(len(prior))
@@ -198,7 +199,7 @@ class ArmFit:
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
         """Fix one unknown at 0 for each direction of a basis N (P, k); return for each the unknowns it cannot be separated from.
 
-        Offsets of joints, tool and base are kept free where a link's frame can be fixed instead.
+        Where an error of a link's frame can be fixed instead, offsets of joints, tool and base stay free.
         """
         groups = [one.group for one in self.arm.unknowns]
         order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
@@ -217,7 +218,7 @@ class ArmFit:
                     fixed.append(p)
         equal = N * np.array(
             [[WIDE.get(group, 1.0)] for group in groups]
-        )  # so that a length counts alike in all groups
+        )  # scaled so that a length counts the same in all groups
         B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
@@ -316,7 +317,8 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
         if value > 0.6 * best:
             break
         sign[i], best = -sign[i], value
-    if best > SIGNS[1] and len(asked) <= SIGNS[2]:  # Reversing joints one by one did not help: try all combinations.
+    # reversing joints one by one did not help, so all combinations are tried
+    if best > SIGNS[1] and len(asked) <= SIGNS[2]:
         for flips in product((1.0, -1.0), repeat=len(asked)):
             other = np.ones(robot.n)
             other[asked] = flips

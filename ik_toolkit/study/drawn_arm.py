@@ -32,7 +32,7 @@ class Unknown(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """One frame with an error: columns of its unknowns in x, its joint (0: tip, -1: base), its axes of translation and rotation."""
+    """A frame with an error: indices of its unknowns in x, its joint (0: tip, -1: base), its axes of translation and rotation."""
 
     columns: np.ndarray
     joint: int
@@ -98,7 +98,7 @@ class DrawnArm:
         return self.evaluate(x, Q)[0]
 
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses (N, 4, 4), and their derivatives (N, 6, P) by x: tip velocities in the tip's axes, linear rows first."""
+        """Return the poses (N, 4, 4), and their derivatives (N, 6, P) by x: twists of the tip in tip axes, linear rows first."""
         model, data, robot = self.model, self._data, self.robot
         base, tool = pin.SE3.Identity(), pin.SE3.Identity()
         joints, blocks = [place for place in self._places if place.joint > 0], {}
@@ -193,7 +193,7 @@ def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _motion(place: _Place, x: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
-    """Return the error transform C of a frame at x, and its derivative (6, 6) by six unknowns, as velocity in the moved frame."""
+    """Return the error transform C of a frame at x, and its derivative (6, 6) by six unknowns: velocities in the moved frame."""
     u = np.where(place.columns >= 0, x[place.columns] if len(x) else 0.0, 0.0)
     w = place.turn @ u[3:]
     C = pin.SE3(pin.exp3(w), place.shift @ u[:3])

@@ -15,7 +15,8 @@ from ..errors import InvalidOption, InvalidTarget, floats, near_match, whole
 from ..robot.pose import as_matrix
 from ..text import length
 
-WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}  # numbers that each kind of measurement gives
+# how many numbers a measurement of each kind gives
+WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
 PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
@@ -180,7 +181,7 @@ class Measurements:
     def errors(self, T: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the residuals (N, per) [m, rad] of the measurements at tip poses T (N, 4, 4), and their derivatives.
 
-        The derivatives are (N, per, 6) by the velocity of the tip in its own axes, and (N, per, Z) by z.
+        The derivatives are (N, per, 6) with respect to a motion of the tip in its own axes, and (N, per, Z) with respect to z.
         """
         p, R = T[:, :3, 3], T[:, :3, :3]
         N, here = len(T), z.reshape(-1, 3)[self.labels] if self.count else p

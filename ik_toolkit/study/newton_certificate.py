@@ -38,7 +38,7 @@ from ..validate import switch
 
 
 class Allowances(NamedTuple):
-    """Numbers that keep rounding out of what is proven."""
+    """Allowances for rounding, so that it cannot invalidate what is proven."""
 
     share: float = 1e-9  # beta, eta, L and r are raised by this share of themselves, and R is lowered
     condition: float = 1e5  # Nothing is claimed if F'(q0) is conditioned worse, as its inverse may be off by `share`.
@@ -55,7 +55,9 @@ ALLOW = Allowances()
 
 @dataclass(frozen=True)
 class NewtonCertificate:
-    """What is proven of Newton's iteration from starts. Arrays have the shape of the starts without n: () for a single one.
+    """What is proven about Newton's iteration from one start or several.
+
+    Arrays have the shape of the starts without n: () for a single one.
 
     Attributes:
         robot: The robot.
@@ -197,7 +199,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     each = np.linalg.norm(np.linalg.inv(to_norm), axis=1) * robot.chain.unit * radius[:, None]
     lower, upper = (
         robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
-    )  # as the solver has them
+    )  # limits as the solver uses them
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
     shaped = (part.reshape(q0.shape[:-1] + part.shape[1:]) for part in parts)
@@ -257,7 +259,7 @@ def _position_constant(robot: Robot, Q: np.ndarray, around: np.ndarray, turning:
     slides = np.zeros((n, n))
     slides[1:] = turning[:-1] * np.abs(rows[1:, 6:7])
     if (rows[:, 9] > 0.0).all():
-        lengths = lengths[:1]  # It is the same everywhere.
+        lengths = lengths[:1]  # the constant is the same at every configuration
     D = np.einsum("nk,ki,kj->nij", lengths, turning, turning) + slides + slides.T
     return np.broadcast_to(chain.scale * np.linalg.norm(D, 2, axis=(1, 2)), len(Q))
 

@@ -74,7 +74,7 @@ class Placement:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key, larger is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability.
+        """Sort key; a larger one is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability.
 
         Without a path, or where it cannot be followed, the number of reconfigurations counts as infinite.
         """
@@ -141,14 +141,14 @@ class Placements(Sequence[Placement]):
         return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists."""
+        """Return the placements as plain numbers, strings and lists."""
         rows = [{key: getattr(one, key) for key in NUMBERS} | {"reached": one.reached.tolist()} for one in self.found]
         tips = self.found[0].tips.tolist() if self.found else []
         return {"robot": self.robot, "poses": len(tips), "tips": tips, "placements": rows}
 
 
 class PlaceInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C while places were searched; `result` has the Placements of the best candidates so far."""
+    """Ctrl-C during a search for base poses; `result` has the Placements of the best candidates so far."""
 
     def __init__(self, result: Placements) -> None:
         """Keep the placements."""

@@ -16,22 +16,22 @@ class SearchSizes(NamedTuple):
     """Sizes of the search, chosen on a benchmark of 800 poses along three edges of a sheet."""
 
     samples: int = 400_000  # sampled configurations of the inverse reachability map
-    height: float = 1 / 40  # width of its cells in the tip's height, over the reach
-    sides: int = 9  # cells of directions along an edge of the cube onto which directions are projected
+    height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
+    sides: int = 9  # number of cells along each edge of the cube onto which directions are projected
     floor: float = 1 / 24  # width of the cells of the floor in which votes are counted, over the reach
     yaws: int = 36  # number of cells of yaw in which votes are counted
-    voted: int = 300  # candidates proposed by the inverse reachability map
-    spread: int = 3000  # candidates spread over the region
+    voted: int = 300  # number of candidates proposed by the inverse reachability map
+    spread: int = 3000  # number of candidates spread evenly over the region
     few: int = 32  # number of poses on which these candidates are examined
-    rounds: int = 4  # rounds of refinement, each with half the width
+    rounds: int = 4  # number of rounds of refinement, each with half the width of the last
     keep: int = 10  # number of bases that are refined
-    around: int = 20  # number of new bases around each
-    last: int = 740  # candidates that are examined on all poses
-    final: int = 8  # rounds of refinement, of the best three, among these
-    attempts: int = 4  # solver attempts per pose while candidates are examined
-    sure: int = 50  # solver attempts per pose for the placements that are returned
-    followed: int = 3  # placements for which a path through ordered poses is computed
-    measured: int = 50  # configurations at which clearance is measured
+    around: int = 20  # number of new bases around each base that is refined
+    last: int = 740  # number of candidates that are examined on all poses
+    final: int = 8  # number of rounds of refinement of the best three bases, within these candidates
+    attempts: int = 4  # number of solver attempts per pose while candidates are examined
+    sure: int = 50  # number of solver attempts per pose for the placements that are returned
+    followed: int = 3  # number of placements for which a path through ordered poses is computed
+    measured: int = 50  # number of configurations at which clearance is measured
 
 
 SEARCH = SearchSizes()
@@ -136,15 +136,15 @@ class Candidates:
 
     def spread(self, count: int) -> np.ndarray:
         """Return bases spread evenly over the region, by the additive recurrence (quasi-random sequence) of Roberts (2018)."""
-        g = 1.1673039782614187  # root of x^5 = x + 1
+        g = 1.1673039782614187  # the root of x^5 = x + 1, on which Roberts' sequence is based
         steps = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, 5.0))) % 1.0
         return self.low + steps * (self.high - self.low)
 
     def count(self, bases: np.ndarray, W: dict[str, np.ndarray], keep: int, than: Any = ()) -> np.ndarray:
         """Return the share of poses W that is reached from each base (M,).
 
-        Beside obstacles a base from which too few poses would be reached without them, to be among the `keep` best of these bases
-        and of others with the shares `than`, keeps that larger share: it is not among the best either way.
+        With obstacles, bases are first examined without them. A base whose share is then too small for the `keep` best of these
+        bases and of others with the shares `than` is not examined again, because obstacles only lower its share.
         """
         share, best = np.zeros(len(bases)), np.sort(than)[-keep:]
         once = max(1, 2**13 // sum(map(len, W.values())))
@@ -218,7 +218,7 @@ class Candidates:
         return np.concatenate([good for good, _ in found]), np.concatenate([q for _, q in found])
 
     def stand(self, base: np.ndarray) -> None:
-        """Move the shapes of the scene to their poses relative to a base (4,)."""
+        """Move the shapes of the scene to where they are relative to a base (4,)."""
         back = np.linalg.inv(base_poses(base[None])[0])
         for name, at in self.shapes:
             self.scene.move(name, back @ at)  # pyright: ignore[reportOptionalMemberAccess]

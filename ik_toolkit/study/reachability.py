@@ -69,7 +69,7 @@ def reachability(
     progress: Callable[[int], None] | None = None,
     **options: Unpack[BatchOptions],
 ) -> ReachabilityMap:
-    """Answer, for every cell of a region, whether the tip reaches it inside the limits.
+    """Compute, for every cell of a region, whether the tip reaches it inside the limits.
 
     A yes comes with a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
     found a configuration. The audit tries a sample of these unproven answers again, and estimates how often they are wrong.
@@ -173,7 +173,7 @@ def _question(robot: Robot, grid: Grid, options: str) -> str:
 
 
 class _Study:
-    """The answers so far, and the passes that find them."""
+    """The answers of a study so far, and the passes over the cells that find them."""
 
     def __init__(
         self,
@@ -204,13 +204,14 @@ class _Study:
             self.flood(tried)
             rng = np.random.default_rng(self.plan.options.seed)
             while len(rows := self.open_beside_yes()):
-                # All targets of a call share their random starts. Neighbours get other ones, and then try each other's answers.
+                # All targets of a call share their random starts. Neighbouring cells are solved in different calls, so they get
+                # different starts, and each then tries the other's answers.
                 for k, some in enumerate(np.array_split(rng.permutation(rows), EFFORT.groups), 1):
                     self.solve(np.sort(some), Reach.MANY, restarts=EFFORT.many - 1, seed=self.plan.options.seed + k)
                 self.flood(tried)
 
     def open_beside_yes(self) -> np.ndarray:
-        """Return the answers that few attempts have not found and that touch a yes of the same orientation, also at a corner."""
+        """Return the answers that few attempts left open and that touch, even at a corner, a reached one of equal orientation."""
         near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
         for axis in range(3):
             one = np.moveaxis(near, axis, 0)
@@ -222,7 +223,7 @@ class _Study:
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
         """Solve for answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get the state `failed`.
 
-        Returns the number of new yeses.
+        Returns the number of targets that are newly reached.
         """
         yes = 0
         for a in range(0, len(rows), EFFORT.chunk):
@@ -294,7 +295,7 @@ class _Study:
         left = np.flatnonzero((self.states == Reach.FEW) | (self.states == Reach.MANY))
         rows = np.sort(np.random.default_rng(seed).permutation(left)[:count])
         found = 0
-        for a in range(0, len(rows), 256):  # so that Ctrl-C loses little
+        for a in range(0, len(rows), 256):  # in small parts, so that Ctrl-C loses little
             found += self.solve(
                 rows[a : a + 256], Reach.MANY, restarts=EFFORT.audited - 1, seed=self.plan.options.seed + 1
             )

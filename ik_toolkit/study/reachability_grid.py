@@ -15,15 +15,16 @@ from .workspace import envelope
 class GridEffort(NamedTuple):
     """Numbers of solver attempts; `scripts/benchmarks/reach.py` measures what they miss on a Panda."""
 
-    few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours are tried
-    many: int = 50  # attempts at an unproven no that touches a yes, and at single poses, which have no neighbours
-    groups: int = 16  # parts of the noes that touch a yes, each with random starts of its own
-    audited: int = 1000  # attempts at each no that the audit tries again
-    chunk: int = 2**16  # answers computed between two writes to the file
-    cells: int = 40  # cells along the longest side of a region, unless the resolution is given
+    few: int = 4  # number of attempts at each answer of a grid, before the configurations of its neighbours are tried
+    # number of attempts at an unreached, unproven cell that touches a reached one, and at single poses, which have no neighbours
+    many: int = 50
+    groups: int = 16  # number of groups into which such cells are divided, each with random starts of its own
+    audited: int = 1000  # number of attempts at each unproven answer that the audit tries again
+    chunk: int = 2**16  # number of answers computed between two writes to the file
+    cells: int = 40  # number of cells along the longest side of a region, unless the resolution is given
 
 
-MOST_AXES = 1_000_000  # tool axes; neighbours are then 0.2 degrees apart
+MOST_AXES = 1_000_000  # largest number of tool axes; neighbouring axes are then 0.2 degrees apart
 EFFORT = GridEffort()
 
 
@@ -66,7 +67,7 @@ class Grid:
 
     def memory(self, n: int) -> int:
         """Return the largest memory [bytes] of a study with n joints, in addition to that of the program."""
-        # Per answer: its state, its q, two numbers and the bits for neighbours tried. Per cell: the result.
+        # Memory per answer: its state, its q, two numbers and the bits for neighbours tried. Memory per cell: the result.
         return self.answers * (8 * n + 1 + 8 + 4) + self.cells * (8 * n + 16) + EFFORT.chunk * 8 * (2 * 16 + 3 * n + 20)
 
     @property
@@ -141,10 +142,11 @@ def grid_of(
     pitch = positive(resolution, "resolution [m]")
     counts = np.maximum(np.ceil(wide / pitch - 1e-9), 1.0)
     size = np.where(wide > 0.0, pitch, 0.0)
-    low = 0.5 * (low + high) - 0.5 * size * counts  # The cells are centred in the region.
+    low = 0.5 * (low + high) - 0.5 * size * counts  # the block of cells is centred in the region
     rotations, free = _rotations(orientations)
     if rotations is not None and free and axis is not None:
-        rotations = rotations @ _frame(np.array([axis]))[0].T  # the tip's own axis then points where its z did
+        # with this factor the chosen tip axis points where the tip's z axis would
+        rotations = rotations @ _frame(np.array([axis]))[0].T
     shape = tuple(int(k) for k in counts)
     return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))
 

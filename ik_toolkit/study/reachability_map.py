@@ -21,7 +21,7 @@ from .reachability_grid import Grid
 
 
 class Reach(IntEnum):
-    """An answer of a map."""
+    """Codes of the answers in a map."""
 
     UNTRIED = 0
     YES = 1  # reached, with a configuration that was checked
@@ -42,14 +42,14 @@ ANSWERS = {
 class Audit(NamedTuple):
     """Check of the answers that were neither found nor proven: a random sample of them is tried again with many more attempts."""
 
-    unproven: int = 0  # number of noes without proof before the audit
-    tried: int = 0  # how many of them were tried again
-    found: int = 0  # how many of these are reached after all; the map has them as reached
-    attempts: int = 0  # attempts at each
+    unproven: int = 0  # number of unreached cells without proof before the audit
+    tried: int = 0  # how many of these unproven answers were tried again
+    found: int = 0  # how many of those tried again are reached after all; the map shows them as reached
+    attempts: int = 0  # number of attempts at each answer tried again
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval (Wilson 1927) of the share of false noes among the unproven ones, before those found were corrected."""
+        """The 95 % interval (Wilson 1927) of the share of wrong answers among the unproven ones, before the audit's corrections."""
         return wilson(self.found, self.tried) if self.tried else (0.0, float(self.unproven > 0))
 
     def __str__(self) -> str:
@@ -125,7 +125,7 @@ class ReachabilityMap:
             raise InvalidOption("this map is about loose poses: map.reached has their answers, in their order")
         T = np.asarray(poses)
         if T.shape[1:] not in ((4, 4), (3,)):
-            one = check_target(poses)[0]  # a single pose or position, of any kind
+            one = check_target(poses)[0]  # `poses` may be a single pose or position in any accepted form
             T = np.asarray(one)[None]
         T = floats(T, "poses must be numbers", InvalidTarget)
         if not np.isfinite(T).all():
@@ -211,7 +211,7 @@ class ReachabilityMap:
         return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts, without the cells."""
+        """Return the summary as plain numbers and texts, without the cells."""
         low, high = self.audit.interval
         audit = self.audit._asdict() | {"interval": [low, high]}
         about = {"robot": self.robot, "tip": self.tip, "base": self.base, "cells": self.grid.cells}
@@ -343,7 +343,7 @@ class Log:
             write(self.stream)
             self.stream.flush()
             self.good = self.stream.tell()
-        except OSError as error:  # The disk is full: the study goes on.
+        except OSError as error:  # the disk may be full; the study continues without the file
             self.broken = OSError(error.errno, error.strerror, str(self.path))
             logging.getLogger("ik_toolkit").warning(
                 "%s: %s; what is computed from here on is lost if the study is stopped", self.path, error.strerror
@@ -353,7 +353,7 @@ class Log:
         """Close the file, and remove it if the map was written."""
         try:
             self.stream.close()
-        except OSError:  # On a full disk, flushing fails again.
+        except OSError:  # on a full disk, flushing fails again when the file is closed
             pass
         if finished:
             self.path.unlink(missing_ok=True)

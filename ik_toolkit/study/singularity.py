@@ -18,7 +18,7 @@ STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share 
 
 @dataclass(frozen=True)
 class Run:
-    """One solve from a start, with measures of singularity at each of its k evaluations.
+    """A solve from a start, with measures of singularity at each of its k evaluations.
 
     Attributes:
         solver: Name of the solver.
@@ -114,7 +114,7 @@ class Escape:
     iterations: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, with the 95 % Wilson interval of the success rate."""
+        """Return the counts as plain numbers, with the 95 % Wilson interval of the success rate."""
         return {
             "targets": self.targets,
             "solved": self.solved,

@@ -27,8 +27,9 @@ def suggest_poses(
 ) -> np.ndarray:
     """Choose the configurations whose measurement determines an arm's errors best.
 
-    They are D-optimal among random ones inside the limits and free of collisions: each in turn enlarges the determinant of the
-    information matrix most (Fedorov 1972), then each is exchanged once. Their order makes the motions between them short.
+    The configurations are D-optimal among random ones inside the limits and free of collisions. They are chosen one by one, each
+    enlarging the determinant of the information matrix most (Fedorov 1972), and then each is exchanged once for a better one. Their
+    order makes the motions between them short.
 
     Args:
         robot: The nominal robot.
@@ -114,7 +115,7 @@ def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
     if avoid is True:
         try:
             avoid = CollisionModel(robot)
-        except ModelError:  # no collision shapes
+        except ModelError:  # the robot has no collision shapes
             avoid = False
     if isinstance(avoid, CollisionModel):
         return Q[[not avoid.collides(q) for q in Q]]

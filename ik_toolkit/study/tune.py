@@ -60,11 +60,11 @@ class Score:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Return a key to compare scores: larger for a larger share of solved targets, then for fewer iterations."""
+        """Return a sort key of scores: larger for a larger share of solved targets, and among equal shares for fewer iterations."""
         return self.share, -self.iterations if self.iterations == self.iterations else -math.inf
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
+        """Return the score as plain numbers and lists."""
         return {
             "successes": self.successes,
             "targets_a_set": self.targets,
@@ -161,7 +161,7 @@ class TuneResult:
         return path
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists."""
+        """Return the result as plain numbers, strings and lists."""
         names = "robot solver method position_only evaluations elapsed seed interrupted options kept verdict".split()
         default = self.scores["default"]
         scores = {"train": self.train, "held_out": self.held_out, "before": self.before, "default": default}
@@ -327,7 +327,7 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # before any generation the start is the best candidate
+        if not self.best:  # before the first generation the start is the best candidate
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:

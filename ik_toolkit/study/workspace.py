@@ -29,10 +29,10 @@ from .targets import one_tip, sample_targets, stream_targets
 class StudySizes(NamedTuple):
     """Sizes of a workspace study."""
 
-    cells: int = 24  # cells along the longest side of the success map
-    envelope: int = 100_000  # random configurations whose tip positions give the envelope
-    kept: int = 20_000  # targets kept in memory for plots; a file receives all of them
-    failures: int = 1000  # failures kept in memory for each solver
+    cells: int = 24  # number of cells along the longest side of the success map
+    envelope: int = 100_000  # number of random configurations whose tip positions give the envelope
+    kept: int = 20_000  # number of targets kept in memory for plots; a file receives all of them
+    failures: int = 1000  # number of failures kept in memory for each solver
 
 
 SIZES = StudySizes()
@@ -44,7 +44,7 @@ class SolverCounts:
 
     solver: str  # name of the solver
     targets: int = 0  # number of targets
-    solved: int = 0  # number of targets it solved
+    solved: int = 0  # number of targets that the solver solved
     iterations: int = 0  # sum of the iterations of the solved targets
     worst: float = 0.0  # largest position error among the failures [m]
     elapsed: float = 0.0  # time of all solves together [s], without that of compiling
@@ -56,7 +56,7 @@ class SolverCounts:
         return self.solved / max(self.targets, 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, with the 95 % Wilson interval of the share."""
+        """Return the counts as plain numbers, with the 95 % Wilson interval of the share."""
         return {
             "targets": self.targets,
             "solved": self.solved,
@@ -107,7 +107,7 @@ class Workspace:
         return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists, without the map and the points."""
+        """Return the study as plain numbers, strings and lists, without the map and the points."""
         return {
             "robot": self.robot,
             "tip": self.tip,

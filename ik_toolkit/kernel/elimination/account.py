@@ -81,7 +81,8 @@ def fit_polynomial(values, degree, tables, c):
     share = 1.0 / largest
     for k in range(2 * degree + 1):
         c[k] = c[k] * share
-    return 2.0 * noise * share + 2e-16  # twice the larger surplus harmonic, and the rounding of the division
+    # Harmonics above the degree should be 0, so twice the larger of them, plus the rounding of the division, measures the noise.
+    return 2.0 * noise * share + 2e-16
 
 
 @inner
@@ -191,7 +192,7 @@ def is_complex(z, radius):
 
 @inner
 def to_joints(d):
-    """Write the angles null.t of the reordered loop to the joints d.loop.q; they change sign if the loop is reversed."""
+    """Write the angles null.t of the reordered loop to the joints d.loop.q; their signs change if the loop is reversed."""
     backwards, shift = d.form[0] > 0.0, int(d.form[1])
     for place in range(6):
         t = d.null.t[place]
@@ -216,7 +217,8 @@ def settle_root(d, root, radius):
 def tolerance(gain):
     """Return how far two copies of one solution may differ [rad].
 
-    Rounding of 1e-11 moves the joints by 1e-11 over the gain (about the smallest singular value), which is large at singular poses.
+    A rounding error of 1e-11 in the pose moves the joints by 1e-11 divided by the gain (about the smallest singular value of the
+    Jacobian), which is a large move at singular poses.
     """
     return TRUST.same if gain > 1e-4 else max(TRUST.same, min(1e-3, 1e-11 / max(gain, 1e-300)))
 
@@ -241,7 +243,7 @@ def put_solution(found, q, gain, root):
 
 @inner
 def take_pair(d, pose, rank, i, j):
-    """Treat two roots whose error discs overlap only each other: symmetric arms have two solutions with one value of q3.
+    """Treat two roots whose error discs overlap only each other: symmetric arms have two solutions with the same value of q3.
 
     Both roots are marked real and their solutions added if there are two, or marked complex if there are none.
     """

@@ -201,7 +201,8 @@ def last_angle(lines, pose, t):
     """Return the angle of joint 6 that closes the loop when joints 1 to 5 are at t[0] ... t[4]."""
     last = line_of(lines, 5)
     away = any_normal(last.along)
-    goal = Line(pose.axes.times(away), pose.axes.times(last.along))  # `turned` turns `along`; the point is not used
+    # only the direction of this line is used below, so its point may be any
+    goal = Line(pose.axes.times(away), pose.axes.times(last.along))
     for k in range(5):
         goal = turned(goal, line_of(lines, k), math.cos(t[k]), -math.sin(t[k]))
     return math.atan2(last.along.dot(away.cross(goal.along)), away.dot(goal.along))

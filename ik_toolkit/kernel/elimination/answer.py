@@ -21,7 +21,10 @@ from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
 
 @inner
 def merge_into(one, whole):
-    """Add one ordering's solutions to the array `whole`, both (SIZES.rows, SIZES.columns); return if `whole` has no others."""
+    """Add an ordering's solutions `one` to those in `whole`, both (SIZES.rows, SIZES.columns).
+
+    Returns whether `whole` then has no others.
+    """
     for k in range(1, int(one[0, 0]) + 1):
         if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
             whole[int(whole[0, 0]), 8] = one[k, 8]
@@ -39,7 +42,7 @@ class Work(NamedTuple):
     null: Null
     A: Array  # (6, 9) scratch
     N: Array  # (9, 9) scratch
-    form: Array  # (SIZES.form,) the ordering, see `terms.Form`
+    form: Array  # (SIZES.form,) the ordering of the loop that is being solved, see `terms.Form`
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
     mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6
     found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
@@ -127,7 +130,7 @@ def nudge(d, angle):
 def look_around(d, forms, whole):
     """Add to an uncertain answer the solutions of slightly displaced poses, brought back to the target by Newton's method.
 
-    Where roots coincide, those of another pose do not. This certifies nothing.
+    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing.
     """
     for k in range(8):  # four poses, with each of the two best orderings
         f = k // 4

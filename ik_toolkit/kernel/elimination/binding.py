@@ -86,7 +86,10 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: Reading) -> tuple:
-        """Sort key of an ordering: all solutions found, q3 tells them apart, certificates, small error discs."""
+        """Return the sort key of an ordering.
+
+        The best finds all solutions, tells them apart by q3 and has certificates and small error discs.
+        """
         accuracy = round(np.log10(min(one.radius, 1e9) + 1e-16)) + one.row[Form._fields.index("degree")] / 8.0
         return -(one.real == most).sum(), one.pairs, -one.certain, accuracy
 

@@ -31,7 +31,7 @@ class JointLoop(NamedTuple):
     """The loop in the arm's own joint order, and the arrays of Newton's method."""
 
     axes: Array  # (6, 6) the joints' axes at q = 0, one a row
-    X: Array  # (12,) rotation matrix by rows, and vector
+    X: Array  # (12,) the pose X = E1(q1) ... E6(q6) to reach: rotation matrix by rows, then translation
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
     B: Array  # (6, 6) the inverse of J, with its columns permuted
     swaps: Array  # (12,) rows that the factorisation exchanged
@@ -183,7 +183,7 @@ def least_gain(loop):
         for k in range(i):
             for j in range(6):
                 B[i, j] -= J[i, k] * B[k, j]
-    for i in range(5, -1, -1):  # B = U^-1 L^-1
+    for i in range(5, -1, -1):  # second step of the inversion: B = U^-1 L^-1
         for k in range(i + 1, 6):
             for j in range(6):
                 B[i, j] -= J[i, k] * B[k, j]

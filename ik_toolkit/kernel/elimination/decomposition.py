@@ -94,7 +94,7 @@ def put_branch(d, free, half, merged, doubt, error, near):
             moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
     for i in range(6):
         q[i] = wrapped(q[i])
-    # One of a continuum of solutions need not be as exact.
+    # A solution that belongs to a continuum need not be as accurate.
     closed = size < (TRUST.closed if free < 0 else DOUBT.loose) and moved <= max(DOUBT.apart, DOUBT.band * error)
     gain, again = least_gain(d.loop), 0
     if closed:
@@ -147,7 +147,7 @@ def split_wrist(d, pose, off, near):
             for k in range(3):
                 line = line_of(lines, k)
                 u, n = turn_back(u, line, t[k]), turn_back(n, line, t[k])
-            # R4^-1 u = R5 l6
+            # Joints 4 and 5 follow from R4^-1 u = R5 l6, where l6 is the direction of axis 6.
             cone = circle_about(Line(four.along, u * 0.0), u, -1.0)
             D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
@@ -179,13 +179,15 @@ def split_parallel(d, pose, off, near):
             break
         t[0] = A.second if i == 1 else A.first + (math.pi / 6.0) * i
         c1, s1 = math.cos(t[0]), math.sin(t[0])
-        # R5 R6 v = w, v = X^-1 R1 w
+        # Joints 5 and 6 follow from R5 R6 v = w with v = X^-1 R1 w.
         v = pose.axes.across(rotated(w, one.along, c1, s1))
         cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
         unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
-        if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle.
+        # Axis 6 is parallel to w, so joint 6 may turn within the range in which the elbow reaches; the middle of this range is
+        # listed.
+        if loose:
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
             far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))

@@ -61,9 +61,9 @@ class Angles(NamedTuple):
     first: float
     second: float
     number: int  # number of solutions: 2, 1 (both merge), or 0
-    error: float  # how far off they may be [rad]
+    error: float  # bound on the error of the solutions [rad]
     free: bool  # whether every angle is a solution; `first` is one of them
-    merged: bool  # whether the two may be one solution, or none, within the error
+    merged: bool  # whether the two solutions may really be one, or none, within the error
     # whether the answer is uncertain because solutions that may merge, or not exist, could be visibly apart
     doubt: bool
 
@@ -79,13 +79,13 @@ def circle_about(line, point, sense):
 
 @inline
 def height_on(circle, axis):
-    """Return the height of a turning point along an axis through the origin, as a Sum."""
+    """Return the height, along an axis through the origin, of a point on a circle: a Sum, k + a cos x + b sin x."""
     return Sum(circle.middle.dot(axis), circle.side.dot(axis), circle.ahead.dot(axis))
 
 
 @inline
 def square_on(circle, point):
-    """Return half the squared distance of a turning point from another point, as a Sum."""
+    """Return half the squared distance between a point on a circle and a fixed point: a Sum, k + a cos x + b sin x."""
     m = circle.middle - point
     return Sum(0.5 * (m.square() + circle.side.square()), m.dot(circle.side), m.dot(circle.ahead))
 

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled
 
-CERTAIN, DOUBLE, UNSURE, FAMILY = 0, 1, 2, 3  # complete; roots merge (singular pose); unknown; a continuum
+# status of a list of solutions: complete; roots merge (singular pose); unknown; a continuum of solutions
+CERTAIN, DOUBLE, UNSURE, FAMILY = 0, 1, 2, 3
 
 
 @compiled
@@ -14,7 +15,7 @@ class RootState(NamedTuple):
     open: float = 0.0
     complex: float = 1.0
     real: float = 2.0
-    settled: float = 3.0  # used only while roots are found
+    settled: float = 3.0  # used only while the roots are being computed
 
 
 @compiled
@@ -31,7 +32,7 @@ class Sizes(NamedTuple):
     # Numbers of a solution: q (6,), the gain (`closure.least_gain`), the root q3 [rad]. A decomposition writes instead of the root
     # 0, or the position (from 1 on) of an angle that is free; the last number is by how much that may turn either way [rad].
     columns: int = 9
-    form: int = 7  # numbers of a Form, or of a `decomposition.Split`
+    form: int = 7  # how many numbers a Form, or a `decomposition.Split`, has
     tables: int = 66  # length of two rows: cos and sin of 2 pi k / K
     arm: int = 52  # numbers that describe an arm, see `answer.solve_loops`
     whole: int = 157  # length of a row of `forms` of `answer.solve_loops`: Form, tables and `mix`
@@ -41,7 +42,7 @@ class Sizes(NamedTuple):
 
 @compiled
 class Trust(NamedTuple):
-    """What an answer must meet to be called certain; angles [rad], lengths in sizes of the arm.
+    """Thresholds that an answer must meet to be called certain; angles in rad, lengths in units of the arm's size.
 
     The thresholds were tuned on 60 arms, and tested on 180,000 targets from other random seeds.
     """
@@ -59,25 +60,29 @@ class Trust(NamedTuple):
     # random signs; four times the root of the sum of its squares was never exceeded in 240,000 targets.
     disc: float = 4.0
     noisy: float = 1e-6  # a determinant with more noise than this relative to its largest coefficient is not used
-    flat: float = 1e-11  # nor is one whose values are below this share of a usual target's
-    # a root nearer to the unit circle may be two merging ones, so its error disc has to miss the circle more clearly:
+    flat: float = 1e-11  # a determinant whose values are below this share of those at a usual target is not used
+    # a root nearer to the unit circle than this may be two merging roots, so its error disc has to miss the circle more clearly
     band: float = 2e-3
-    clear: float = 3.0  # by this many radii outside the band,
-    clearer: float = 30.0  # and by this many inside it
+    # a root outside this band is complex if its error disc misses the unit circle by this many radii
+    clear: float = 3.0
+    # a root inside this band is complex if its error disc misses the unit circle by this many radii
+    clearer: float = 30.0
     wide: float = 5e-3  # an error disc with a larger radius certifies nothing
     # error discs count as overlapping if their centres are nearer than this many times the sum of the radii
     apart: float = 4.0
     paired: float = 1e-6  # two roots are one double root of two solutions only if their mean is this near the circle
-    second: float = 1e-3  # two null vectors: the second smallest singular value is below this share of the largest,
-    third: float = 1e-3  # and, for two complex solutions, the third is above this share
-    second_complex: float = 1e-6  # with the second below this share
-    closed: float = 1e-11  # largest loop error of a solution
+    # there are two null vectors if the second smallest singular value is below this share of the largest
+    second: float = 1e-3
+    third: float = 1e-3  # two complex solutions need a third smallest singular value above this share of the largest
+    # two complex solutions need a second smallest singular value below this share of the largest
+    second_complex: float = 1e-6
+    closed: float = 1e-11  # largest error with which the loop of a solution may close
     steps: int = 30  # highest number of Newton steps to a solution
-    longest: float = 0.7  # longest Newton step
+    longest: float = 0.7  # longest Newton step [rad]
     still: float = 1e-8  # Newton's method ends after a step below this; the error is then about its square
-    kept: float = 1e-6  # a solution's q3 may differ by this much from its root,
-    kept_radii: float = 20.0  # or by this many radii of the error disc,
-    kept_most: float = 1e-2  # but no more than this
+    kept: float = 1e-6  # a solution's q3 may differ from its root by this much,
+    kept_radii: float = 20.0  # or, if that is more, by this many radii of the root's error disc
+    kept_most: float = 1e-2  # largest difference between a solution's q3 and its root in any case
     same: float = 1e-7  # solutions are the same if no joint differs by more; at a singular pose see `tolerance`
     singular: float = 1e-3  # two roots may share a solution whose gain (smallest singular value) is below this: DOUBLE
     family: float = 1e-5  # a solution with a smaller gain may be one of a continuum, so the answer is not certain
@@ -85,7 +90,7 @@ class Trust(NamedTuple):
 
 @compiled
 class Doubt(NamedTuple):
-    """When a decomposition must report UNSURE; angles [rad], lengths in sizes of the arm."""
+    """Thresholds that decide when a decomposition must report UNSURE; angles in rad, lengths in units of the arm's size."""
 
     rounding: float = 3e-15  # error of every number of an exactly decomposable arm; 1e-15 occurs
     off: float = 1e-3  # axes that are further from meeting or being parallel do not count as such
@@ -93,7 +98,8 @@ class Doubt(NamedTuple):
     apart: float = 1e-3  # solutions that may be one, or none, must be nearer to each other than this
     still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
     loose: float = 1e-5  # an angle counts as free only if the numbers that make it so are exact to this
-    # A pose displaced by e has complex solutions at most 30 sqrt(e) from real ones (`decide.MARGINS.gap`): twice (1 / 30)^2.
+    # A pose displaced by e has complex solutions at most 30 sqrt(e) (`decide.MARGINS.gap`) from real ones. Complex solutions within
+    # d of real ones therefore belong to displacements up to (d / 30)^2; twice that is used, about 2e-3 d^2.
     near: float = 2e-3
     alike: float = 1e-12  # an arm with a smaller misfit has no more solutions than branches
 

@@ -45,7 +45,7 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
         (f"B by theory, best of {budget} configurations", "-", budget): search_theory(robot, published, q0, budget),
         ("all 90 entries by a particle swarm", "993, ~350 iterations", budget): search(robot, space, q0, Swarm),
     }
-    if find_spec("cma") is not None:  # an extra of the toolkit
+    if find_spec("cma") is not None:  # cma is an extra of the toolkit, which may not be installed
         rules["all 90 entries by CMA-ES", "-", budget] = search(robot, space, q0, Evolution)
     rules["IK-PID, published gains", "994 by hand", 0] = PID.preset("burrell-2016")
     rules[f"IK-PID, K_p = {kp:.4f} by theory", "-", 0] = PID(kp=kp, units="mm-deg")
@@ -73,7 +73,8 @@ def theory(robot: Robot, published: StateSpace, q: np.ndarray) -> StateSpace:
     """Return the published solver with B designed at a configuration q (n,): equal poles, least moves of the joints."""
     A, C = np.asarray(published.A), np.radians(np.asarray(published.C))
     g = (1.0 - A[0, 0]) / 4.0
-    S = g * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])  # [rad/m], in the axes of the base
+    # static gain of the design [rad/m], in the axes of the base
+    S = g * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])
     return published._replace(B=np.linalg.solve(C, (np.eye(len(A)) - A) @ S @ TO_PAPER.T) / 1000.0)
 
 

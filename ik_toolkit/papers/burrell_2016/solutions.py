@@ -13,9 +13,9 @@ from ..report import Report
 class Numbers(NamedTuple):
     """Number of IK solutions of each of N poses."""
 
-    all: np.ndarray  # (N,) without limits
-    legal: np.ndarray  # (N,) within the limits
-    certified: np.ndarray  # (N,) whether it is certified that there are no others
+    all: np.ndarray  # (N,) number of solutions if joint limits are ignored
+    legal: np.ndarray  # (N,) number of solutions within the limits
+    certified: np.ndarray  # (N,) whether the list of solutions is certified to be complete
 
 
 def numbers(robot: Robot, T: np.ndarray) -> Numbers:

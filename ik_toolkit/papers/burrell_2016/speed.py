@@ -37,7 +37,7 @@ class Amount(NamedTuple):
 AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
-BASE = "J+"  # all times are divided by that of this method, the pseudo-inverse
+BASE = "J+"  # name of the method (pseudo-inverse) by whose time all times are divided
 # For each of these methods, the method of Table II with which it is compared.
 SAME_AS = {"J+, plain": "J+", "DLS, clipped": "DLS", "DLS, limits held": "DLS"}
 

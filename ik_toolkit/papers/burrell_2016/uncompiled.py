@@ -36,7 +36,7 @@ class PlainPinv(NamedTuple):
 
     def step(self, p, e):
         s = p.desk
-        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the matrix JJ'
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # accumulates the matrix JJ'
         for i in range(s.dq.shape[0]):
             u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
             gram = gram.plus(u, u)

@@ -51,7 +51,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
             det = h11 * h22 - h12 * h12
             d1, d2 = (h12 * g2 - h22 * g1) / det, (h12 * g1 - h11 * g2) / det
         else:
-            det = a1 * b2 - a2 * b1  # the determinant l1 l2 sin(theta_2)
+            det = a1 * b2 - a2 * b1  # determinant of the Jacobian, l1 l2 sin(theta_2)
             if det == 0.0:
                 break
             d1, d2 = -(b1 * ex + b2 * ey) / det, (a1 * ex + a2 * ey) / det
@@ -72,7 +72,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
                 damping = max(0.1 * damping, 1e-15)
             elif kind == SEARCH:
                 break
-            else:  # the step is rejected, and a shorter one is tried from the same place
+            else:  # the step is rejected, and a shorter one is tried from the same angles
                 damping *= 10.0
                 ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
                 ey = l1 * math.sin(t1) + l2 * math.sin(t1 + t2) - y

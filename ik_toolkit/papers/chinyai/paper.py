@@ -79,7 +79,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
             (f"the same with atan2 for both arctan, {name} signs", np.arctan2(y, x) + sign * turned),
             (f"corrected (always minus, signed sine, atan2), {name} sign of theta_2", np.arctan2(y, x) - turned),
         ):
-            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # x + iy
+            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # tip position as a complex number, x + iy
             rows.append([words, 100.0 * float(np.mean(np.abs(reached - (x + 1j * y)) < 1e-9))])
     report.table("formulas", ["formulas", "targets reached (%)"], rows)
     report.text(
@@ -94,7 +94,7 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     fixed = np.array([[math.radians(45.0), math.radians(90.0)]])
     X = planar.targets(rng, 2 * n, l1, l2)
-    # The others, which never converge, would take all 50 steps.
+    # Starts from which Newton never converges are left out, because they would take all 50 steps.
     X = X[planar.converge(X, l1, l2, fixed, planar.PLAIN)[:, 2] >= 0][:n]
     both, out = np.empty((n, 4)), np.empty((n, 4))
     planar.closed_form_all(X, l1, l2, both)

@@ -99,7 +99,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 class Case:
     """A system and a path to follow, with number of steps, initial error (actual - target), and `start`: q at a task position.
 
-    third: takes q, x, y (n,) and returns the derivative (m, n) of the system's rate(q, x, y) by q.
+    third: takes q, x, y (n,) and returns the derivative (m, n) of the system's rate(q, x, y) with respect to q.
     """
 
     system: System
@@ -111,12 +111,12 @@ class Case:
 
 
 def one_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the derivative (1, 1) of `rate` of `one_dof` by q."""
+    """Return the derivative (1, 1) of `rate` of `one_dof` with respect to q."""
     return np.array([0.375 * q**-2.5 * x * y])
 
 
 def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the derivative (2, 2) of `rate` of `rr_arm` by q, for links of 1 m."""
+    """Return the derivative (2, 2) of `rate` of `rr_arm` with respect to q, for links of 1 m."""
     return np.array([np.sin(q), -np.cos(q)]) * x * y
 
 
@@ -171,8 +171,8 @@ def settled(case: Case, made: Run) -> dict[str, float]:
 def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
     """Return the largest factor by which a small disturbance changes in one lap [s] of the moving target (Floquet multiplier).
 
-    It is the spectral radius of the product of the exact derivatives of all steps. They are taken on the motion without error, but
-    for method aa with interpretation 1 or 2 of dJ/dt on the run that it makes from there, zigzag included. h is adjusted to divide
+    It is the spectral radius of the product of the exact derivatives of all steps. The derivatives are taken along the motion
+    without error; for method aa with reading 1 or 2 of dJ/dt, along the zigzagging run that starts there. h is adjusted to divide
     the lap.
     """
     steps = round(lap / gains.h)

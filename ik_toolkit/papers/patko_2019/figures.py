@@ -142,10 +142,10 @@ def draw_motion(plt: Any, charts: Sequence[tuple[Any, str]], sets: Mapping[str, 
     for ax, (chart, title) in zip(axes.flat, charts, strict=True):
         shades = stability_map(ax, chart)
         ax.set_title(title)
-        speed = chart.travel[0] * chart.samples[0] / lap  # [m/s] of the target
+        speed = chart.travel[0] * chart.samples[0] / lap  # mean speed of the target [m/s]
         for k, (label, s) in enumerate(sets.items()):
             if chart.method == "ca" and abs(s.kp / s.kd**2 - chart.shape) > 1e-9:
-                continue  # A set of another shape is not on this chart.
+                continue  # a set of gains with another shape (kp / kd^2) is not on this chart
             gain = s.kappa if chart.method == "cv" else s.kd
             ax.plot([0.0, gain], [0.0, speed], color=COLOURS[1 - k], lw=1.2, label=label)
             ax.plot(gain * s.h, speed * s.h, "o", color=COLOURS[1 - k], ms=5)

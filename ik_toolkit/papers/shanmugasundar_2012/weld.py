@@ -28,7 +28,8 @@ from ...validate import not_negative, number, positive
 from ..report import Report
 
 TURN = 2.0 * np.pi + 1e-9  # largest angle [rad] that is not taken for degrees
-MARGIN = 0.002  # [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
+# [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
+MARGIN = 0.002
 SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
     "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
     "longitudinal, 50 to 650 mm": (0.0, np.linspace(0.05, 0.65, 41)),
@@ -56,7 +57,7 @@ class Canister:
             raise InvalidOption(f"foot must be three finite numbers [m], not {self.foot!r:.60}")
 
     def seam(self, angles: Any, heights: Any, standoff: float = 0.05, turn: float = 0.0) -> np.ndarray:
-        """Return poses (N, 4, 4) of a tool whose x axis looks at the surface at right angles, from a stand-off.
+        """Return poses (N, 4, 4) of a tool whose x axis is perpendicular to the surface and points at it, from a stand-off.
 
         A girth weld has one height, a longitudinal weld one angle; of two arrays each pair is a point.
 
@@ -108,7 +109,7 @@ class WeldPlan:
 
     @property
     def travel(self) -> float:
-        """Return the sum of the steps of the lift [m] from pose to pose, up and down, which is the least."""
+        """Return the sum of the steps of the lift [m] from pose to pose, up and down, the least possible for the poses."""
         return float(np.abs(np.diff(self.lifts)).sum())
 
     @property
@@ -194,8 +195,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
 
     The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
     neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
-    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Of equal
-    ones, that which ends in the middle is taken, and the lift rests as long as it can before. Nothing is said about the lift
+    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Among equal
+    sequences, one that ends in the middle is taken, and the lift rests as long as possible before. Nothing is said about the lift
     between the poses, nor about motions that change the branch.
     """
     made = {}
@@ -203,7 +204,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))
-        c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))  # all ends, and values between to choose among equals
+        # ends of all windows, and midpoints between them for the choice among equal sequences
+        c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
@@ -218,7 +220,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         w, j = ties[np.argmin(np.abs(c[ties[:, 1]] - 0.5 * (c[ties[:, 1].min()] + c[ties[:, 1].max()])))]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-            step = (1.0 + 1e-9) * np.abs(c - values[-1])  # of equal ways, that on which the lift rests
+            # among equal sequences, the one in which the lift rests is preferred
+            step = (1.0 + 1e-9) * np.abs(c - values[-1])
             total = np.where(link[:, w, None], cost, np.inf) + step
             w, j = np.unravel_index(np.argmin(total), total.shape)
             values.append(c[j])

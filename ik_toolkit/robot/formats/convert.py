@@ -37,7 +37,7 @@ class Converted(NamedTuple):
     outside: tuple[str, ...] = ()
 
     def notes(self) -> list[str]:
-        """Return a sentence each on meshes that were not found and on those that the saved text finds only with package_dirs."""
+        """Return up to two sentences: which meshes were not found, and which ones the saved text finds only with package_dirs."""
         found = []
         if self.lost:
             some = "; ".join(f"'{name}' {why}" for name, why in list(self.lost.items())[:SHOWN])

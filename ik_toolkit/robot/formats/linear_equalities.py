@@ -53,7 +53,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
     """Solve the equations by elimination: express joints by one other joint (followers) or by a constant (held joints)."""
     first = list(dict.fromkeys(one.first for one in equations if one.first >= 0))
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
-    columns = [*first, *others]  # Each joint is expressed by joints of later columns.
+    columns = [*first, *others]  # elimination expresses each joint by joints of later columns
     place = {joint: i for i, joint in enumerate(columns)}
     # row of coefficients, followed by the right-hand side, by pivot column
     rows: dict[int, np.ndarray] = {}

@@ -133,7 +133,7 @@ class _Writer:
         return states
 
     def _doubtful(self, joints: Sequence[str]) -> None:
-        """Note the joint ranges that MuJoCo ignores because their ends are reversed or equal."""
+        """Add notes on the joint ranges that MuJoCo ignores because their ends are reversed or equal."""
         for name, joint in zip(joints, self.model["joints"], strict=True):
             low, high = joint["given"]
             if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):

@@ -141,11 +141,11 @@ def _copies(element: ET.Element) -> int:
     try:
         return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return inside  # MuJoCo itself reports an invalid count.
+        return inside  # the count is invalid, which MuJoCo itself reports
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
-    """Return where meshes lie by the <compiler> settings: the folder, and whether directories in their paths are stripped."""
+    """Return the mesh folder of the <compiler> settings, and whether directories in mesh paths are stripped."""
     found = {"folder": "", "strip": ""}
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))

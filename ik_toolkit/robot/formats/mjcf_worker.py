@@ -12,7 +12,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+# This file runs as a script, so the package is importable only if its parent folder is on sys.path.
+sys.path.append(str(Path(__file__).parents[3]))
 from ik_toolkit.robot.formats.sandbox import limit
 
 JOINTS = ("free", "ball", "slide", "hinge")

@@ -23,7 +23,7 @@ from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
 BESIDE = ("", "../srdf")  # folders in which the SRDF is searched for, relative to that of the URDF
-MOST = 64  # At most this many SRDF files are looked at in each folder.
+MOST = 64  # at most this many SRDF files are read in each folder
 SHOWN = 3  # A remark lists at most this many names.
 State = Mapping[str, tuple[float, ...]]  # A state maps a joint to its values.
 
@@ -98,7 +98,7 @@ class Srdf:
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # A chain that ends where others begin carries them, so that point is no end of the group.
+        if chains:  # A chain carries the chains that begin where it ends, so that point is no end of the group.
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:

@@ -10,7 +10,8 @@ from ...errors import ModelError
 from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
 MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
-NEEDED = {  # Maps an element that is read to the attributes that it must have; a state without them is left out, with a remark.
+# Maps an element that is read to the attributes that it must have; a state without them is left out, with a remark.
+NEEDED = {
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
     "joint": ("name",),
@@ -108,7 +109,7 @@ def contents(text: str) -> dict[str, Any]:
 
 
 def _items(text: str) -> list[Item]:
-    """Return the robot and the elements directly below it, with those inside them, which have no others inside."""
+    """Return the robot and the elements directly below it, each with its own child elements, which have no children."""
     items: list[Item] = []
 
     def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:

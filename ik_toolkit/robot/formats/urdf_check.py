@@ -129,7 +129,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # Findings on roots and cycles would only be consequences of the broken joints.
+        return  # findings about roots and cycles would only be consequences of the broken joints
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
@@ -197,7 +197,8 @@ CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
 MOST = 500  # largest number of unknown names in a file that are compared with known ones, to bound the time
-NEAR = 0.82  # similarity (0 to 1) from which an unknown name counts as misspelled; "gear_velocity" is below it for "velocity"
+# similarity (0 to 1) from which an unknown name counts as misspelled; "gear_velocity" is below it for "velocity"
+NEAR = 0.82
 
 
 def misspelled(items: Iterable[Item]) -> Iterator[Finding]:

@@ -55,7 +55,7 @@ def motion_text(items: Sequence[Item], found: Followers, lent: Mapping[str, str]
 def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -> Iterable[str]:
     """Yield the pieces of a joint's text; `both` tells whether the joint leads or follows another one.
 
-    A continuous joint that does becomes a revolute joint without limits. Stored as cosine and sine it would lose whole
+    A continuous joint that leads or follows becomes a revolute joint without limits. Stored as cosine and sine it would lose whole
     turns, and a follower with ratio 0.5 would be off by half a turn. Pinocchio also does not let a continuous joint
     lead or follow one of another type.
     """

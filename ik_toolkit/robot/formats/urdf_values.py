@@ -43,7 +43,7 @@ def check_joint(joint: Item) -> Iterator[Finding]:
 
 
 def link_values(link: Item) -> Iterator[Finding]:
-    """Yield warnings about the numbers of a link's shapes and inertia, without which the robot can still move."""
+    """Yield warnings about wrong numbers in a link's shapes and inertia; the robot can be loaded and moved in spite of them."""
     drawn = [part for part in link.inside if part.tag in SHAPES and not part.above]
     for part, shape in zip(drawn, link.shapes, strict=True):
         if part.tag == "collision" and "geometry" not in shape:

@@ -55,7 +55,7 @@ class Files:
     def xml(self, path: str) -> Any:
         """Return the document of an XML file. Raises Refused, ModelError."""
         text = decode(self.read(path, CAPS.bytes), os.path.basename(path))
-        walk(text, "file", lambda *element: None)  # only for its checks
+        walk(text, "file", lambda *element: None)  # called only because it checks the text
         return minidom.parseString(text)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
@@ -80,7 +80,7 @@ class Files:
 
 
 def check_yaml_size(events: Any) -> None:
-    """Raise Refused for YAML that is nested too deep, or too large once its anchors are put in."""
+    """Raise Refused for YAML that is nested too deep, or too large once its anchors are expanded."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]
     for event in events:

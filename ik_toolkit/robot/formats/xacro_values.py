@@ -79,7 +79,8 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if isinstance(value, Mapping) and type(value) is not dict:  # a namespace; other types have been checked
+            # the value is a namespace, which needs a check here; values of other types have been checked
+            if isinstance(value, Mapping) and type(value) is not dict:
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:

@@ -17,7 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+# This file runs as a script, so the package is importable only if its parent folder is on sys.path.
+sys.path.append(str(Path(__file__).parents[3]))
 from ik_toolkit.robot.formats.sandbox import limit
 from ik_toolkit.robot.formats.xacro_files import CAPS, Files
 from ik_toolkit.robot.formats.xacro_library import library
@@ -131,7 +132,8 @@ class Expansion:
         return {
             "load_yaml": self.load_yaml,
             "abs_filename": self.absolute,
-            "dotify": lambda value: value,  # xacro makes a dict allow d.key here; in these expressions every dict does.
+            # xacro's `dotify` makes a dict accept d.key; in these expressions every dict accepts that
+            "dotify": lambda value: value,
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
             "fatal": fatal,

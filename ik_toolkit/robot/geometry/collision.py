@@ -124,7 +124,7 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        # whether joints a and b move relative to each other
+        # entry [a, b] says whether joints a and b move relative to each other
         apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
@@ -275,9 +275,9 @@ class CollisionModel(Surroundings):
     def distances(self, q: Any, within: float = np.inf) -> list[Near]:
         """Measure the pairs of parts that are near each other, nearest first.
 
-        A distance is between the convex hulls of meshes, which is exact for all other shapes. Where hulls are nearer
-        than the margin, here or at home, it is between the meshes themselves. So it is never more than the distance of
-        the exact shapes, and 0 or less where they touch.
+        A distance is between the convex hulls of meshes, which is exact for all other shapes. If two hulls are nearer than the
+        margin, at q or at home, the distance is between the meshes themselves. So a distance is never more than that of the exact
+        shapes, and it is 0 or less where they touch.
 
         Args:
             q: Configuration (n,) [rad or m].

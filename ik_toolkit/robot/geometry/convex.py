@@ -79,7 +79,10 @@ def is_flat(shape: Any) -> bool:
 
 
 def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
-    """Return the nearest ancestor joint that carries shapes, or -1. Links separated only by links without shapes are adjacent."""
+    """Return the nearest ancestor joint that carries shapes, or -1.
+
+    Links count as adjacent if only links without shapes lie between them.
+    """
     while joint > 0:
         joint = model.parents[joint]
         if joint in owners:

@@ -271,9 +271,9 @@ class Clearance:
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
-        """Return for pairs ks (K,) the place on a path [pieces] up to which they are proven free of contact.
+        """Return the position on a path [pieces] up to which each of the pairs ks (K,) is proven free of contact.
 
-        path: the fields of `BrakingPath`, and the place on it at which the proof begins [pieces].
+        path: the fields of `BrakingPath`, and the position on it at which the proof begins [pieces].
         """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]

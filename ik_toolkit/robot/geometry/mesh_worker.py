@@ -16,7 +16,8 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
 
-sys.path.append(str(Path(__file__).parents[3]))  # A script is not part of its package.
+# This file runs as a script, so the package is importable only if its parent folder is on sys.path.
+sys.path.append(str(Path(__file__).parents[3]))
 from ik_toolkit.robot.formats.sandbox import limit
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
@@ -67,7 +68,7 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
     stack: list[str] = []
-    inside: dict[str, list] = {}  # for each node or scene, by id: nodes below it or instanced by it
+    inside: dict[str, list] = {}  # for each node or scene, by id: the nodes below it and those that it instantiates
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:

@@ -61,7 +61,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
 
     side_by_side: the compiled solver for eight targets at once, or None.
     """
-    if len(plan.held) and len(part.start) > 1:  # each target then has its own table of starts
+    if len(plan.held) and len(part.start) > 1:  # with held joints, each target has a table of starts of its own
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
         return
@@ -142,7 +142,7 @@ def _solve_part(
 @functools.lru_cache(4)
 def _unpacked(payload: bytes) -> Plan:
     """Read a Plan (a solver bound to a robot) from its pickle; a worker process keeps it for the next part."""
-    # The pickled data comes from `on_executor`; whoever sends it runs our code anyway.
+    # Unpickling is safe here: the data comes from `on_executor`, and whoever could replace it already runs code in this process.
     return pickle.loads(payload)  # noqa: S301
 
 

@@ -67,7 +67,7 @@ class Failures(NamedTuple):
 
 
 def joined_failures(parts: Sequence[tuple[int, Failures]]) -> Failures:
-    """Join the failures of several parts, each given with the batch index of its first row."""
+    """Join the failures of several parts of a batch, each given with the batch index of its first row."""
     rows = [first + failures.rows for first, failures in parts]
     T, q0 = ([getattr(failures, name) for _, failures in parts] for name in ("T", "q0"))
     return Failures(np.concatenate(rows), np.concatenate(T), np.concatenate(q0))

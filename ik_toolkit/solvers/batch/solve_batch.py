@@ -41,10 +41,10 @@ def solve_parts(
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    With `finish` a failure gets the q closest to its target, which takes longer than a few attempts, and LIMIT_BLOCKED is tested.
-    Without, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a limit. An array of targets is read part
-    by part, so it must not change until the last part is taken; arrays from an iterator are copied. Raises BatchCheckFailed at the
-    part with an answer that Pinocchio does not confirm; its `result` is that part.
+    With `finish`, the q of a failure is moved to the configuration closest to its target, which takes longer than a few attempts,
+    and LIMIT_BLOCKED is tested. Without `finish`, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a
+    limit. An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator are
+    copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
     if "chain" in options:
@@ -102,7 +102,8 @@ def _read_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> tuple[np.nda
     if not isinstance(q0, np.ndarray) and any(
         not np.isscalar(row) and not isinstance(row, Sequence | np.ndarray) for row in q0
     ):
-        read = [robot.read_q(row, f"q0 of target {k}") for k, row in enumerate(q0)]  # values by joint, JointStates
+        # each start may be a dict by joint or a JointState
+        read = [robot.read_q(row, f"q0 of target {k}") for k, row in enumerate(q0)]
         q0, notice = [q for q, _ in read], next((note for _, note in read if note), "")
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
@@ -129,7 +130,8 @@ def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | Non
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
-            T = chunk.poses(a, a + size)  # Parts are copies, because a buffer may be refilled while they wait.
+            # Parts are copies, because the caller's buffer may be refilled while the parts wait to be solved.
+            T = chunk.poses(a, a + size)
             doubt_far(robot, T)
             if starts is None:
                 q0 = None

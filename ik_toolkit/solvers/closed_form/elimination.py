@@ -26,17 +26,17 @@ LEAST_SIZE = 1e-4
 
 
 class Certificate(NamedTuple):
-    """How complete a list of solutions is, judged by the roots of a polynomial that has all of them, or by a decomposition.
+    """How complete a list of solutions is, judged by a polynomial whose roots include all of them, or by a decomposition.
 
     The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic. So
     is that of a decomposition, whose errors are estimated.
     """
 
     status: str  # 'CERTAIN', 'DOUBLE' (solutions merge at a singular pose), 'FAMILY' (there is a continuum) or 'UNSURE'
-    solutions: int  # distinct solutions found, also outside the limits
-    roots: int  # roots of the polynomial, or branches of the decomposition
-    # Roots proven complex, which are no solutions; if the status is CERTAIN, each of the others is one solution. For a
-    # decomposition, the branches that do not exist or have merged with others.
+    solutions: int  # number of distinct solutions found, including those outside the limits
+    roots: int  # number of roots of the polynomial, or of branches of the decomposition
+    # Number of roots that are proven complex and so are no solutions; if the status is CERTAIN, each other root is one solution.
+    # For a decomposition: number of branches that do not exist or have merged with others.
     complex: int
     radius: float  # radius of the largest error disc around a real root exp(i q3) of the polynomial, on the unit circle
     noise: float  # measured relative error of the polynomial's coefficients, or error of a decomposition's numbers
@@ -94,7 +94,7 @@ class Said(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
     q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
-    # (K,) 1 / |J^-1|, lengths over the arm's size: a pose error e puts q at most about e / gain from a solution
+    # (K,) gain 1 / |J^-1|, lengths over the arm's size: a q with the pose error e is at most about e / gain away from a solution
     gain: np.ndarray
     certificate: Certificate
     # (M, 6) other configurations near which a pose may be within a tolerance; None if they are not known

@@ -12,7 +12,10 @@ from .geometry import Family
 
 
 def moving_places(split: Split, place: int) -> tuple[int, ...]:
-    """Return the positions in the loop of the joints that move in a self-motion, that of the free angle (place) first."""
+    """Return the positions in the loop of the joints that move in a self-motion.
+
+    The position `place` of the free angle comes first.
+    """
     if split.parallel:
         return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
     return (3, 5) if place == 3 else (place, 3, 4, 5)

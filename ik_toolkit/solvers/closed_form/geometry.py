@@ -58,11 +58,11 @@ class Branches(NamedTuple):
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether these branches are proven to be all.
-    # Part of the message that says where the branches are, such as ' at lift 0.2 m' (lift: the prismatic joint).
+    # Text for the message that says at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''.
     words: str
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that refine each branch on the actual chain.
-    fixed: int = -1  # index in q of a joint that those steps do not move, or -1
+    fixed: int = -1  # index in q of a joint that the Newton steps do not move, or -1
     partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
     certificate: Any = None  # Evidence that the list is complete (`elimination.Certificate`), or None.
 

@@ -75,7 +75,7 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # pairs: deviation of the chain from the structure, and the message for it
+    off = []  # pairs (deviation, message): how far the chain deviates from the structure, and what to say about it
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))
@@ -172,7 +172,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # a rotation by the tolerance moves the wrist by at most this
+        slack = opt[ORDER.tol_r] * lever  # orientation tolerance as a distance at the wrist
         nearly = p[NEARLY] > 0.0
         spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
@@ -183,7 +183,9 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # k = 0 is the best so far; then all branches at the same lift are refined
+            for k in range(
+                found + 1
+            ):  # k = 0 refines the best branch so far; then all branches at the same lift are refined
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -192,7 +194,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one is reserved for the answer itself
                 position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
                 spent += count
                 distance = 0.0

@@ -21,10 +21,10 @@ from .reach import (
     nearest_lift,
 )
 
-# Indices in the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12). A4 and A6 are lengths, and
-# NEARLY tells whether the arm has the structure only approximately. From JOINTS on, each revolute joint has its index in q, sign
-# and offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none), sign, choice and given
-# value.
+# Indices in the array of the arm's parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12). A4 and
+# A6 are lengths, and NEARLY tells whether the arm has the structure only approximately. From JOINTS on, each revolute joint has its
+# index in q, sign and offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none), sign,
+# choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
 # values of the prismatic joint tried per feasible interval if no branch at the first value is inside the limits

@@ -76,7 +76,7 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of the branches Q (K, n) of the pose T (4, 4).
+    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist in the branches Q (K, n) of the pose T (4, 4).
 
     Returns why an angle is free at lift d, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7).
     """
@@ -99,10 +99,10 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the ranges [rad] over which theta_1's joint is free with axes 1 and 4 parallel; return their number.
+    """Fill spans (S, 2) with the ranges [rad] in which joint 1 is free because axes 1 and 4 are parallel; return their number.
 
     `samples` configurations spread evenly over each range are written to out (S samples, n), their excess over limits to broken (S
-    samples,). If `free`, each configuration takes the lift that it needs, otherwise lift d.
+    samples,). If `free`, the lift (prismatic joint) of each configuration is the one that it needs, otherwise it is d.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)

@@ -175,7 +175,7 @@ def _conditions(p: np.ndarray, T: np.ndarray, box: np.ndarray, d: np.ndarray) ->
     along, side, z = S[:, :2] @ e, S[:, :2] @ np.array([-e[1], e[0]]), S[:, 2]
     squares, L2 = (S[:, :2] ** 2).sum(axis=1), (a4 - z) * (a4 + z)
     C = 0.5 * (a6 * a6 - L2 - squares)
-    pose = (squares, -2.0 * C * along, C * C - side * side * L2)  # in alpha, for every branch
+    pose = (squares, -2.0 * C * along, C * C - side * side * L2)  # quadratics in alpha, the same for every branch
     made = [pose[2]]
     for k in range(6):
         i, sign, offset = int(p[JOINTS + 3 * k]), p[JOINTS + 3 * k + 1], p[JOINTS + 3 * k + 2]
@@ -183,15 +183,16 @@ def _conditions(p: np.ndarray, T: np.ndarray, box: np.ndarray, d: np.ndarray) ->
             s, c = math.sin(sign * limit + offset), math.cos(sign * limit + offset)
             N, h = R[:2].T[:2] @ np.array([-s, c]), (a4 * s) ** 2
             at_limit = (
-                C * C * (N @ N) - L2 * (S[:, :2] @ N) ** 2,  # theta_1: axis 4 is perpendicular to N
+                C * C * (N @ N) - L2 * (S[:, :2] @ N) ** 2,  # theta_1 is at a limit: axis 4 is perpendicular to N
                 _resultant(
                     (zero + rise * rise, zero, L2 * (c * c - rise * rise)), pose
-                ),  # theta_3: the slope of axis 4
-                # theta_4: the component of U along axis 3
+                ),  # theta_3 is at a limit: the slope of axis 4
+                # theta_4 is at a limit: the component of U along axis 3
                 _resultant((rise * rise * (z * z - h), 2.0 * L2 * up * z * rise, L2 * up * up * (L2 - h)), pose),
-                z * z - h,  # theta_5: S along axis 7
-                (L2 + C) ** 2 - (a6 * c) ** 2 * L2,  # theta_6: the angle at the elbow
-                squares + 2.0 * a6 * (c * S[:, 0] - s * S[:, 1]) + a6 * a6 - L2,  # theta_7: the elbow's place
+                z * z - h,  # theta_5 is at a limit: the component of S along axis 7
+                (L2 + C) ** 2 - (a6 * c) ** 2 * L2,  # theta_6 is at a limit: the angle at the elbow
+                # theta_7 is at a limit: the position of the elbow
+                squares + 2.0 * a6 * (c * S[:, 0] - s * S[:, 1]) + a6 * a6 - L2,
             )
             made.append(at_limit[k])
     return made

@@ -58,7 +58,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     for k in range(Q.shape[0]):
         for i in range(n):
             q[i] = min(max(Q[k, i], box[0, i]), box[1, i])
-        left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
+        left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for computing the errors of the answer
         position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, left)
         spent += count
         error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])

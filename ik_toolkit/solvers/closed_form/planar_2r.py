@@ -138,7 +138,8 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 joint_values(p, sols[k], box, q)
                 for i in range(n):
                     q[i] = min(max(q[i], box[0, i]), box[1, i])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
+                # one evaluation is reserved for computing the errors of the answer
+                left = opt[ORDER.evaluations] - 1.0 - spent
                 position, _, count = polish(rows, ends, opt, T[t], q, -1, STEPS, left)
                 spent += count
                 distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
@@ -152,7 +153,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 
 @closed_form
 class Planar2R(NamedTuple):
-    """Both elbow branches of two revolute joints, axes parallel, for positions; returns the one in limits nearest q0.
+    """Both elbow branches of two revolute joints with parallel axes, for positions; returns the one within limits nearest q0.
 
     Link lengths, base pose, axis signs, angle and height offsets are free. Source: Chinyai, eqs. (1)-(5), with the
     second branch, the signs and the quadrants corrected.
@@ -172,7 +173,7 @@ class Planar2R(NamedTuple):
         families = ()
         if folded and found and broken[0] == 0.0:
             low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # joint 1's limits exclude -pi ... pi
+            if high < low:  # the limits of joint 1 contain no angle between -pi and pi
                 low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
             q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
             found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)

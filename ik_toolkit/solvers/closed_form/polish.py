@@ -16,7 +16,7 @@ DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
 SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
 # [rad] A solution that exceeds a limit by less may be one on the limit: where two merge, their distance is a root of the rounding.
 BORDER = 1e-4
-DISTINCT = 1e-3  # [rad] such a solution is left out if another one in the list is this near
+DISTINCT = 1e-3  # [rad] a solution moved onto a limit is left out if another solution in the list is nearer than this
 
 
 @build
@@ -34,7 +34,7 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """Carry out the steps of `polish`; p: the problem, old (n,): scratch, other arguments as there."""
+    """Carry out the steps of `polish`; p: the problem, old (n,): scratch; the other arguments are those of `polish`."""
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0

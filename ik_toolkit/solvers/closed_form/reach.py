@@ -33,8 +33,8 @@ def wrap(x):
 @shared
 def elbow(r, l1, l2):
     """Return the elbow angle in 0..pi of two links that span the distance r, accurate also at both ends of the reach."""
-    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # This is 2 l1 l2 (1 - cos).
-    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # This is 2 l1 l2 (1 + cos).
+    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # a is 2 l1 l2 (1 - cos), without cancellation
+    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # b is 2 l1 l2 (1 + cos), without cancellation
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
 
 
@@ -230,7 +230,7 @@ def shoulder(P, c5, s5, phi, given, t1):
 
 @shared
 def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
-    """Fill row (6,) with the angles of shoulder branch k3 (0 or 1)."""
+    """Fill row (6,) with the six revolute angles theta of shoulder branch k3 (0 or 1)."""
     row[0] = wrap(t1 + k3 * math.pi)
     row[1] = t3 * (1.0 - 2.0 * k3)
     row[2] = wrap(t4 + k3 * math.pi)
@@ -279,7 +279,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
     from theta_6, otherwise it is d. The error [m] is how far the arm then is from P. Bits 0, 1, 2 of k = 0..7 choose the sign of
     cos(theta_3), the elbow and the wrist.
     """
-    up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
+    up = 1.0 - 2.0 * (k % 2)  # sign of cos(theta_3)
     phi = math.atan2(up * P[6], up * P[7])
     cp, sp = math.cos(phi), math.sin(phi)
     x, y, z = shoulder_in_tool(P, P[11] if free else d)
@@ -379,7 +379,7 @@ def nearest_lift(P, a4, a6, low, high):
 
     P is not reachable from any lift in that range.
     """
-    side = math.hypot(P[9], P[10]) + a4 + a6  # values further away than this only add distance
+    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts farther away than this only increase the distance
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
     for k in range(1, 65):

@@ -49,7 +49,7 @@ def explain_result(result: Any) -> Explanation:
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
-        # the search that found the answer after the closed form had failed runs again
+        # the search that found the answer after the closed form had failed is run again
         iterations = _iterations(_run(of, plan.search()) if plan.row.closed else of, type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
@@ -116,7 +116,7 @@ def _beside(of: SolveRecord, name: str) -> SolveRecord:
         row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), options)
     made = _run(of, plan)
-    if not made.row[AT.iterations]:  # a solve from the answer itself has nothing to show
+    if not made.row[AT.iterations]:  # a solve that starts at the answer itself makes no iterations that could be shown
         start = robot.random_q(np.random.default_rng(0))
         made = _run(of._replace(q0=start.tobytes()), plan)
     return made
@@ -128,7 +128,10 @@ def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
 
 
 def _iterations(of: SolveRecord, read: Any) -> Iterations:
-    """Return the errors and q of every evaluation in the attempt that gave the answer; read: makes a Result of a SolveRecord."""
+    """Return the errors and q of every evaluation in the attempt that gave the answer.
+
+    read: function that makes a Result from a SolveRecord.
+    """
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)
     assert history is not None

@@ -169,7 +169,7 @@ class Explanation:
         assert self.iterations is not None
         i = self.iterations
         turned = not np.isnan(i.orientation).all()
-        # more than three joint values do not fit beside the errors
+        # beside the errors there is room for at most three joint values
         joints = range(self.robot.n if self.robot.n <= 3 else 0)
         units = [unit_of(kind) for kind in self.robot.joint_kinds]
         names = [self.robot.joint_names[j] for j in joints]
@@ -179,7 +179,7 @@ class Explanation:
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
             rows.append((*cells, *(digits(i.q[k, j], units[j], self.places) for j in joints)))
-        if len(rows) > 14:  # of many iterations the first ten and the last four are shown
+        if len(rows) > 14:  # of more than fourteen iterations only the first ten and the last four are shown
             rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""

@@ -12,14 +12,14 @@ from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
 BREAK = "\v"  # marks in MathML where a line may end
-# SLOT finds where in a written formula the number of a symbol belongs, with or without parentheses.
+# The pattern SLOT matches the places in a written formula where the number of a symbol is put, with or without parentheses.
 SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
 class _Slot(sympy.Symbol):
     """A placeholder in a formula for the number of a symbol.
 
-    It sorts as the symbol does, so that a formula and its numbers have the same order.
+    It is sorted like the symbol, so that a formula and the same formula with numbers have their terms in the same order.
     """
 
     __slots__ = ("bare",)
@@ -74,7 +74,7 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
             if now in ("+", "-"):
                 node.setAttribute("form", "infix" if made and not before else "prefix")
                 made += BREAK if made and not before else ""
-            if node.tagName == "msqrt" and before == "&#xB7;":  # Roots are long, so a line may end before one.
+            if node.tagName == "msqrt" and before == "&#xB7;":  # A root is long, so a line may end before it.
                 made += BREAK
             made += node.toxml() + (BREAK if now == "," else "")
             before = now.replace(")", "").replace("|", "")

@@ -125,7 +125,7 @@ def _equation_lines(block: Equations) -> Iterator[str]:
         if step.formula is None:
             yield from _wrapped(", ".join(map(" = ".join, group)) + said, "  ", 6)
             continue
-        if opening:  # end of the given numbers
+        if opening:  # the given numbers end here, and the formulas begin
             yield ""
             opening = False
         name, *sides = group[0]

@@ -23,7 +23,7 @@ def negative(name: str, value: Any) -> str:
 
 @rule
 class LM(NamedTuple):
-    """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step redone.
+    """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step is repeated.
 
     Source: Sugihara, IEEE Trans. Robotics 27 (2011), eq. (11); held joints as an active set.
 
@@ -58,7 +58,7 @@ class DLS(NamedTuple):
 
     Args:
         damping: The damping lambda, for errors whose lengths are divided by the robot's reach (scale).
-        hold: Whether a step is redone without the joints that it would push past a limit. False cuts the step off at
+        hold: Whether a step is computed again without the joints that it would push past a limit. False cuts the step off at
             the limit, as the published method does.
     """
 
@@ -189,8 +189,8 @@ class Inverse(NamedTuple):
 class Newton(NamedTuple):
     """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; it ends as SINGULAR where J has no inverse.
 
-    Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual. Where the
-    whole step provably converges is said by `newton_certificate`.
+    Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual.
+        `newton_certificate` says where the whole step provably converges.
 
     Args:
         line_search: Whether the step is halved until the squared error falls. Each trial is an evaluation.
@@ -208,4 +208,4 @@ class Newton(NamedTuple):
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
         """Return the compiled step as a NamedTuple."""
-        return Inverse(40.0 if self.line_search else 0.0)  # The last trial is 1e-12 of the step.
+        return Inverse(40.0 if self.line_search else 0.0)  # After 40 halvings a trial is 1e-12 of the whole step.

@@ -28,7 +28,7 @@ def posture_groups(starts: np.ndarray) -> np.ndarray:
 
 @compiled
 class Tolerances(NamedTuple):
-    """The two options that `aim` reads."""
+    """The two tolerances, which are the only options that `aim` reads."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]

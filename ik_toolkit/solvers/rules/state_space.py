@@ -27,7 +27,7 @@ UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
 # step chooses a map.
 HEAD = 4
 C_FIXED = -0.05  # C is not searched: (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
-SETTLED = 1e-13  # a state that changes by less than this in a step has settled
+SETTLED = 1e-13  # a state that changes by less than this in a step counts as settled
 
 
 class MapDesign(NamedTuple):
@@ -109,7 +109,7 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints may rest at limits while the state still changes; that is no stall.
+        # The state may still change while all joints rest at their limits, so this does not count as a stall.
         return WAITING if changed > SETTLED else 0
 
 
@@ -384,7 +384,7 @@ def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
     parameters = (
         start_parameter(robot, starts),
         Parameter("share", 0.0, 1.0, 0.0),
-        Parameter("kappa", 0.1, 1.4, 0.5625),  # puts both poles at 0.25 for a = -0.5
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # initial value 0.5625, which puts both poles at 0.25 for a = -0.5
         Parameter("a", -0.95, 0.6, a),
     )
     return Space(parameters, initial, make)
