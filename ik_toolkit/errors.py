@@ -1,7 +1,7 @@
 """The exceptions of ik_toolkit. They have one base class, so `except IKError` catches every error that we report.
 
 Invalid input raises one of them; its message names the joint, frame, file or option, lists the valid names and suggests the
-nearest match. A numerical outcome (not converged, unreachable, singular) is no error but a status in the result.
+nearest match. A numerical outcome (not converged, unreachable, singular) is not an error but a status in the result.
 """
 
 import difflib
@@ -156,7 +156,7 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
 def whole(value: Any, what: str, least: int = 1) -> int:
     """Return a whole number as an int, also if it is a float such as 3.0.
 
-    Raises InvalidOption, "WHAT must be ..., not VALUE", if it is no whole number or less than `least`.
+    Raises InvalidOption, "WHAT must be ..., not VALUE", if it is not a whole number or less than `least`.
     """
     if type(value) is int and least <= value < 2**53:  # accept only whole numbers that a float represents exactly
         return value

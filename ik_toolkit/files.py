@@ -74,7 +74,7 @@ class WholeFile:
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open a temporary file beside `path`, or the device or pipe itself. Raises InvalidOption, OSError."""
+        """Open a temporary file next to `path`, or the device or pipe itself. Raises InvalidOption, OSError."""
         require_place(path)
         self.path = Path(path)
         place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to replaced
@@ -167,7 +167,7 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 def inert(text: str) -> str:
     """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # a number such as -0.5 is no formula
+        float(text)  # a number such as -0.5 is not a formula
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text

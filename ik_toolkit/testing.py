@@ -29,7 +29,7 @@ KINDS = ("pose", "position")
 # Tolerances [m] and [rad] wide enough for slow methods too.
 LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}
 SAMPLES = 8  # number of targets for the test of a clause; most faults show at the first one
-SHORT = 20  # a message with fewer characters is no proper sentence
+SHORT = 20  # a message with fewer characters is not a proper sentence
 ROUNDING = 1e-9  # [m] largest difference from Pinocchio, which computes the kinematics in another order of operations
 ANGLE_ROUNDING = 1e-7  # [rad] largest difference of angles; near the identity an angle has only half of the digits
 

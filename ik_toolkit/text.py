@@ -96,7 +96,7 @@ def numbers(text: str) -> list[float] | None:
 def with_points(text: str) -> str:
     """Return a text with decimal commas ('0,5 0 0,3', '1,5;0') replaced by points, or '' if they do not look like decimal commas.
 
-    The commas in '1,1,1 0,0,0' are not decimal commas, because a word with two commas is no number.
+    The commas in '1,1,1 0,0,0' are not decimal commas, because a word with two commas is not a number.
     """
     words = text.replace(";", " ").split()
     decimals = [word for word in words if "," in word]

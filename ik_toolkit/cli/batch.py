@@ -44,7 +44,7 @@ class Solutions:
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Open a temporary file next to `path`; names: of the joints. Raises InvalidOption, OSError."""
+        """Open a temporary file next to `path`; names: names of the joints. Raises InvalidOption, OSError."""
         self.file, self.names, self.count = WholeFile(path), names, 0
         self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
 

@@ -49,7 +49,7 @@ def reach(
     """Map what the tip reaches inside the limits: a cell is reached (with a configuration), proven out of reach, or undecided.
 
     A sample of the undecided is tried again, and the share that proved reachable is stated. Ctrl-C keeps what is
-    finished in FILE.partial; the same command goes on from there, also after the process was killed.
+    finished in FILE.partial; the same command continues from there, also after the process was killed.
 
     Examples:
     ik reach hydrolek_7w --resolution 0.1 -o map.npz --plot map.png

@@ -32,7 +32,7 @@ WORD = ir.IntType(64)  # LLVM's type of lengths and indices
 
 
 class View(types.Type):
-    """The type of a view as numba sees it: numbers of one type, in one to four dimensions, without gaps in memory."""
+    """The type of a view as numba represents it: numbers of one type, in one to four dimensions, without gaps in memory."""
 
     def __init__(self, dtype: Any, ndim: int) -> None:
         self.dtype, self.ndim = dtype, ndim

@@ -94,7 +94,7 @@ class DiskCache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write compiled code to its file; if that is impossible, warn and go on."""
+        """Write compiled code to its file; if that is impossible, warn and continue."""
         if not self._impl.check_cachable(data) or open_to_others(Path(self._cache_path)):
             return
         key = self._index_key(sig, data.codegen)

@@ -3,7 +3,7 @@
 A kernel is a compiled function that Python calls; its parts are functions that only compiled code calls.
 """
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Numba's type hints lack options given in a dict, and functions that only numba calls, so pyright must not report these.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc

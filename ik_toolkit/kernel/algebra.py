@@ -4,7 +4,7 @@ The formulas are written once and serve twice: a component is a float in the sea
 floats (`vector`) in the batch search. After inlining nothing of these records is left in the machine code.
 """
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Numba's type hints lack options given in a dict, and functions that only numba calls, so pyright must not report these.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import Any, NamedTuple

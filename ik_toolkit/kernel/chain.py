@@ -286,7 +286,8 @@ def pack(
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Some files give a prismatic joint a stroke of 1000 km to say "far". In so long a unit a tolerance of 1e-6 m would be lost.
+    # Some files give a prismatic joint a stroke of 1000 km to say "far". With so long a unit, a tolerance of 1e-6 m would be lost
+    # in rounding.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     resize(rows, slides, 1.0 / scale)

@@ -39,7 +39,7 @@ def ring(p, reach, hole, ends, slack):
     """Return the length by which a point p lies outside an arm's reach, or inside the hole around its base; negative if neither.
 
     The arm reaches points whose distance from its base is between `hole` and `reach`; both bounds are relaxed by `slack`. The base
-    may itself stand on a vertical prismatic joint.
+    may itself be mounted on a vertical prismatic joint.
     """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)

@@ -21,8 +21,8 @@ class Bodies(NamedTuple):
     coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
     middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
     radius: np.ndarray  # (S,) radii [m] of the spheres
-    a: np.ndarray  # (P,) first shape of each pair
-    b: np.ndarray  # (P,) second shape of each pair
+    a: np.ndarray  # (P,) index of the first shape of each pair
+    b: np.ndarray  # (P,) index of the second shape of each pair
     by_a: np.ndarray  # (P, E) whether a joint moves only the first shape of a pair
     by_b: np.ndarray  # (P, E) whether a joint moves only the second shape of a pair
 

@@ -63,7 +63,7 @@ def held_wrongly(s, error, weights, box):
 
 
 @inline
-def step_down(p, error, damping, weights, box, pressed):
+def write_damped_step(p, error, damping, weights, box, pressed):
     """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
 
     By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
@@ -120,10 +120,10 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
             copy(best, s.q)
         if e.good or made >= steps:
             break
-        size = step_down(p, error, share * value, weights, box, pressed)
+        size = write_damped_step(p, error, share * value, weights, box, pressed)
         if not pressed and (size < DOWN.smallest or share > DOWN.most):
             pressed, share = True, DOWN.first
-            size = step_down(p, error, share * value, weights, box, pressed)
+            size = write_damped_step(p, error, share * value, weights, box, pressed)
         if size < DOWN.smallest or share > DOWN.most:
             break
         add_inside(s.q, s.dq, 1.0, box)

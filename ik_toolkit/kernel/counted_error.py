@@ -224,7 +224,7 @@ class TipState(NamedTuple):
     rows: Array  # (L, 10) geometry of the chain
     joints: Array  # (6 L,) axis and point of each joint
     task: Array  # (TASK,) which part of the error counts, see `records.Task`
-    kept: Array  # (KEPT,) matrices of `shape`
+    kept: Array  # (KEPT,) matrices that `shape` computed for this configuration
     goal: Array  # (GOAL,) the target
     pose: Array  # (12,) axes of the last joint by rows, then the tip's position
 

@@ -1,6 +1,6 @@
 """What depends on classes when a search is compiled: one tip or several, and methods that a solver rule may override."""
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Numba's type hints lack options given in a dict, and functions that only numba calls, so pyright must not report these.
 # pyright: reportCallIssue=false, reportArgumentType=false
 import numpy as np
 from numba.extending import overload

@@ -16,7 +16,7 @@ from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotat
 
 # Length of a joint's row: cos b, sin b, tx, ty, turn, a0, slide, d0, index of its coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
-# A joint whose ratio to its coordinate differs from 1 by less than this is no mimic joint: the difference is rounding.
+# A joint whose ratio to its coordinate differs from 1 by less than this is not a mimic joint: the difference is rounding.
 RATIO = 1e-12
 TAU = 2.0 * math.pi
 

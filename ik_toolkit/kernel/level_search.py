@@ -20,7 +20,7 @@ class Phases(NamedTuple):
 
     at_once: int = 0  # all errors are at one level
     constrained: int = 1  # level 0 is a constraint
-    out_of_reach: int = 2  # level 0 is minimised
+    out_of_reach: int = 2  # level 0 is minimised, because it is taken to be out of reach
 
 
 PHASE = Phases()
@@ -28,7 +28,7 @@ PHASE = Phases()
 
 @compiled
 class Minimum(NamedTuple):
-    """The best minimum found so far."""
+    """The best minimum of the errors that any attempt has found so far."""
 
     ee: float  # number by which configurations are compared, see `rank_errors`
     beside: float  # squared error of the level that comes after the one measured by `ee`

@@ -77,7 +77,7 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether this held any joint anew."""
+    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether this newly held any joint."""
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):

@@ -5,7 +5,7 @@ the compiled code makes the same records from the same arrays. Flat arrays are u
 takes 50 ns, and twice as long inside a record of arrays.
 """
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Numba's type hints lack options given in a dict, and functions that only numba calls, so pyright must not report these.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ class Orders(NamedTuple):
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
     seed: float  # seed of the random starts
-    closest: float  # number of solutions of which the one nearest q0 is taken; 0 takes the first solution
+    closest: float  # number of solutions to find, of which the one nearest q0 is chosen; 0 accepts the first
     hold: float  # 1 if joints pushed past a limit are held and the step is computed again, else 0
     follow: float  # largest move of a revolute joint away from q0 [rad]; 0 allows any
     follow_slide: float  # largest move of a prismatic joint away from q0 [m]; 0 allows any
@@ -72,7 +72,7 @@ class Answer(NamedTuple):
 
     status: float  # one of the codes of `checks`
     iterations: float  # number of iterations of all attempts
-    restarts: float  # attempts after the first one
+    restarts: float  # number of attempts after the first one
     position: float  # position error [m], the largest of all tips
     rotation: float  # rotation error [rad], the largest of all tips
     evaluations: float  # how often the errors were evaluated
@@ -148,7 +148,8 @@ class Ends(NamedTuple):
         """Return one of six bounds [lengths over the reach] on the robot's reach.
 
         k = 0 and 1: largest and smallest distance of the tip from the first joint; k = 2 and 3: the same for the last joint instead
-        of the tip. k = 4 and 5: lowest and highest position of the base of the arm, which may stand on a vertical prismatic joint.
+        of the tip. k = 4 and 5: lowest and highest position of the base of the arm, which may be mounted on a vertical prismatic
+        joint.
         """
         return self.flat[POINTS + 1 + 7 * self.n + k]
 

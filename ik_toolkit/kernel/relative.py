@@ -10,7 +10,7 @@ from .records import WHAT
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
-LINK = 24  # number of entries of this array
+LINK = 24  # length of the array (LINK,)
 
 
 @inline

@@ -8,7 +8,7 @@ Every iteration evaluates the errors, keeps the best configuration so far, tests
 the rule for a step, and applies it inside the joint limits. Reported errors were evaluated at q, or at q modulo 2 pi.
 """
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Numba's type hints lack options given in a dict, and functions that only numba calls, so pyright must not report these.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -37,13 +37,13 @@ from .limits import distance, face, held_back, hold, integrate, legal, neighbour
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
-from .starts import BEST, FEATURES, StartTable, make_table, sow
+from .starts import BEST, FEATURES, StartTable, make_table, seed_sequence
 from .vectors import clear
 
 # A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
 # ends an attempt with success: q is a first-order minimum (see levels.py).
 SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
-# An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
+# An attempt without a status yet either continues (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
 GOING, STILL = -1, -2
 
 
@@ -60,7 +60,7 @@ class Endings(NamedTuple):
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad, or length over the reach] above which an attempt has diverged
-    # A step counts as no motion if no joint moves further than this [rad, or length over the reach].
+    # A step counts as standing still if no joint moves further than this [rad, or length over the reach].
     rest: float = 1e-9
 
 
@@ -83,7 +83,7 @@ class SearchInput(NamedTuple):
 
 @compiled
 class Patience(NamedTuple):
-    """How long an attempt may go on: it is given up when its squared error exceeds ceiling * decay^iteration."""
+    """How long an attempt may continue: it is given up when its squared error exceeds ceiling * decay^iteration."""
 
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]
@@ -94,7 +94,7 @@ class Patience(NamedTuple):
 class Spent(NamedTuple):
     """Counts of what a search has done so far."""
 
-    evaluations: int  # evaluations of the errors
+    evaluations: int  # number of evaluations of the errors
     steps: int  # number of iterations
     noted: int  # number of rows written to `history`
 
@@ -357,7 +357,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
             start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
         if following:
             neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
-        sow(table.state, o.seed)
+        seed_sequence(table.state, o.seed)
         answer, place = seek(rule, p, job, needs_jacobian, excess)
         write(row, 0, answer)
         for i in range(n):

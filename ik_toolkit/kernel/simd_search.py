@@ -27,7 +27,7 @@ from .problem import BEST_OF_ALL
 from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
 from .search import END, last_attempt
 from .serial import serial_on
-from .starts import BEST, make_table, rnd, sow
+from .starts import BEST, make_table, rnd, seed_sequence
 
 LEFT = -1  # status: the target is left to the ordinary search (search.py)
 # An attempt is given up when 1 + cos(angle left) is below this, because the axis of the remaining rotation is then inaccurate.
@@ -140,7 +140,7 @@ def take_target(p, o, ends, table, s, lane, t, call):
     copy(table.best, s.starts[lane])
     for k in range(12):
         s.goals[k, lane] = p.goal[k]
-    sow(s.state[lane], o.seed)
+    seed_sequence(s.state[lane], o.seed)
     s.tries[lane] = 0
     s.spent[0, lane] = 0.0
     s.which[lane] = t
@@ -173,7 +173,7 @@ def begin_attempt(o, ends, seeds, s, lane, Q0, last):
 
 
 @spliced
-def hand_in(p, o, ends, s, lane, wanted, call):
+def write_answer(p, o, ends, s, lane, wanted, call):
     """Write the answer of a lane, shifted by 2 pi k to be nearest the start; wanted (n,) is scratch.
 
     If rounding in the shift brings the answer out of tolerance, nothing is written, and the target is left to the ordinary search.
@@ -258,7 +258,7 @@ def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
             put(s.rr, 0, rr)
             for lane in range(W):
                 if s.which[lane] >= 0 and (done >> lane) & 1:
-                    hand_in(p, o, ends, s, lane, wanted, call)
+                    write_answer(p, o, ends, s, lane, wanted, call)
                     s.which[lane] = -1
                     live -= 1
         limited_step(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)

@@ -19,7 +19,7 @@ BEST = 8  # number of attempts that start from precomputed configurations before
 FEATURES = 13
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
 # A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
-# For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is taken.
+# For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is chosen.
 ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
@@ -71,7 +71,7 @@ def product_64(a, b):
 
 
 @inline
-def sow(state, seed):
+def seed_sequence(state, seed):
     """Start the random sequence in state (1,) from a seed; it depends on nothing else, such as other targets or the thread."""
     state[0] = np.uint64(88172645463325252) ^ product_64(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
@@ -195,7 +195,7 @@ def draw_some(p, table, k, q):
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
-    some = some and k % 4 > 0  # Every fourth start draws all joints anew.
+    some = some and k % 4 > 0  # Every fourth start draws all joints again.
     ends = Ends(p.ends[0], p.desk.q.shape[0])
     for i in range(q.shape[0]):
         a = ends.low(i) + ends.span(i) * rnd(table.state)

@@ -20,7 +20,7 @@ from ..validate import number, one_of, positive, switch
 
 # N samples of a quantity and of its first and second derivative; for poses (N, 4, 4) these are twists and accelerations (N, 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
-MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
+MAX_STEPS = 1e7  # largest number of samples in a run; that many already take over 1 GB of memory
 
 
 class Reference(Holds):
@@ -124,7 +124,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
         Poses (N, 4, 4) [m], twists (N, 6) and accelerations (N, 6), as from `Reference.at`.
 
     Raises:
-        InvalidTarget: A sample is not finite, or is no rigid transform; the message names its time.
+        InvalidTarget: A sample is not finite, or is not a rigid transform; the message names its time.
     """
     T, V, A = reference.at(times)
     used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)

@@ -27,7 +27,7 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
         The reference.
 
     Raises:
-        InvalidTarget: start or end is no pose or position, or they are of different kinds.
+        InvalidTarget: start or end is neither a pose nor a position, or they are of different kinds.
         InvalidOption: There is no such law, or duration or rounds is out of range.
     """
     (p0, R0), (p1, R1) = split(start), split(end)
@@ -78,7 +78,7 @@ def circle(
         The reference.
 
     Raises:
-        InvalidTarget: start or center is no pose or position.
+        InvalidTarget: start or center is neither a pose nor a position.
         InvalidOption: Both or neither of start and center are given, there is no such law, or a number is out of range.
     """
     if (start is None) == (center is None):
@@ -143,7 +143,7 @@ def lissajous(
         The reference.
 
     Raises:
-        InvalidTarget: center is no pose or position.
+        InvalidTarget: center is neither a pose nor a position.
         InvalidOption: There is no such law, or a number is out of range.
     """
     p, R0 = split(center)

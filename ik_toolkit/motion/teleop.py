@@ -35,7 +35,7 @@ class Teleop:
 
     Raises:
         InvalidTarget: T_base_tip is not a pose.
-        InvalidOption: Another argument is out of range, or R_base_controller is no rotation.
+        InvalidOption: Another argument is out of range, or R_base_controller is not a rotation.
     """
 
     def __init__(
@@ -112,7 +112,10 @@ class Teleop:
         T[:3, :3] = pin.exp3(_shortened(pin.log3(wanted[:3, :3] @ T[:3, :3].T), self.turn * dt)) @ T[:3, :3]
 
     def rebase(self, T_base_tip: Any) -> None:
-        """Set the target to another pose, such as `robot.fk(step.q)` after a stop; the clutch must be released and engaged anew."""
+        """Set the target to another pose, such as `robot.fk(step.q)` after a stop.
+
+        The clutch must be released and engaged again.
+        """
         self.T_base_tip = _pose(T_base_tip)
         self._anchor, self._released, self.engaged = None, False, False
 

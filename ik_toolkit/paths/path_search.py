@@ -231,7 +231,7 @@ class Search:
             self.tester = self.tester.of(program)
 
     def best(self, allowed: float | None = None) -> Found:
-        """Return the best path to the last pose or, with `allowed`, to the farthest pose that so many reconfigurations reach.
+        """Return the best path to the last pose or, with `allowed`, to the farthest pose that this many reconfigurations reach.
 
         If a joint's winding does not fit its limits, its tracks are copied with shifts by 2 pi, and the search is repeated.
         """

@@ -38,13 +38,13 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
         robot: whose joints they are, a Robot or a Tree.
         q: numbers (n,); the name of a configuration (see `robot.named`); or values by joint, as a dict or a ROS JointState (or a
             dict of its fields), of which other joints are ignored.
-        name: of the argument, for messages.
+        name: name of the argument, for messages.
 
     Returns:
         An array (n,), which is not checked, and a notice ('' or what was ignored).
 
     Raises:
-        InvalidConfiguration: a joint is missing, or these are no numbers.
+        InvalidConfiguration: a joint is missing, or the values are not numbers.
         ConfigurationNotFound: no configuration has this name.
     """
     notice = ""

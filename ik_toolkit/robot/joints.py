@@ -223,7 +223,7 @@ class Joints(ReadOnly):
 
         Raises:
             JointNotFound: A joint does not exist or does not move.
-            InvalidConfiguration: A value is no finite number.
+            InvalidConfiguration: A value is not a finite number.
         """
         joints = values_by_joint(joints)
         made = self._locked(joints)
@@ -329,7 +329,7 @@ class Joints(ReadOnly):
             q (n,), or (count, n) [rad or m].
 
         Raises:
-            InvalidOption: rng is no generator, or count no whole number of at least 0.
+            InvalidOption: rng is not a generator, or count is not a whole number of at least 0.
         """
         low, span = self._sampling
         size = self.n if count is None else (whole(count, "count", 0), self.n)
@@ -349,8 +349,8 @@ class Joints(ReadOnly):
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None, *, model: pin.Model | None = None) -> np.ndarray:
         """Return the full configuration (nq,) of the robot's model, or of another one with the same joints, for q (n,) [rad or m].
 
-        Joints off the path keep `rest`, or the robot's. A model given here or to `Robot` may have free-flyer, ball and planar
-        joints; one given here may have other joints (neutral), and mimic joints as free ones. Raises JointNotFound.
+        Joints off the path keep their values in `rest`, by default the robot's. A model given here may also have joints that the
+        robot lacks (these stay neutral), joints of several DOF, and mimic joints as independent ones. Raises JointNotFound.
         """
         if model is not None:
             return configuration_in(model, self, self.check_q(q), rest)

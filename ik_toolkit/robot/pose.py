@@ -30,7 +30,7 @@ class AxisTarget:
         axis: Vector (3,) in the tip frame, which is normalised.
 
     Raises:
-        InvalidTarget: T_base_tip is no pose, or the axis is zero.
+        InvalidTarget: T_base_tip is not a pose, or the axis is zero.
     """
 
     T_base_tip: np.ndarray
@@ -70,7 +70,7 @@ def _near_unit(quat: Any, name: str) -> np.ndarray:
 def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
     """Return the axis (3,) that the text 'x', 'y', 'z', '-x', '-y' or '-z' names, and other values unchanged.
 
-    Raises `error` for any other text; name: of the argument, for the message.
+    Raises `error` for any other text; name: name of the argument, for the message.
     """
     if not isinstance(value, str):
         return value
@@ -133,7 +133,7 @@ def pose(
         T_base_tip (4, 4), an AxisTarget if a direction is given, or the position (3,) if no rotation is given.
 
     Raises:
-        InvalidTarget: A value is not finite, of the wrong size or no rotation, or several rotations are given.
+        InvalidTarget: A value is not finite, of the wrong size or not a rotation, or several rotations are given.
     """
     turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
@@ -299,7 +299,8 @@ def as_array(target: Any, base: str = "") -> Any:
     if quat is None:
         return position
     if not np.isfinite([*position, *quat]).all():
-        return np.full((4, 4), np.nan)  # NaN marks a pose that cannot be read, so that a tracker can go on without it.
+        # NaN marks a pose that cannot be read, so that a tracker can continue without it.
+        return np.full((4, 4), np.nan)
     return pose(position, quat_xyzw=quat)
 
 

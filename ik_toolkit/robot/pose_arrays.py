@@ -19,7 +19,7 @@ FORMS = {  # descriptions of the file formats, for error messages
     ".json": 'JSON has a list of positions, [[0.5, 0.1, 0.3]], or poses (4, 4), or an object with lists "xyz" and "quat_xyzw"',
     ".npz": "NPZ has an array xyz (N, 3), with quat_xyzw (N, 4) for poses, or targets (N, 4, 4) or (N, 3)",
 }
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w in quaternions of each order
 
 
 def short(text: str) -> str:

@@ -212,7 +212,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
         )
     found = {names: have for names in kinds if (have := [name for name in names if name in header])}
     if kinds[3] in found and given.euler is None and len(found[kinds[3]]) < 3:
-        del found[kinds[3]]  # A single column a, b or c is no angle.
+        del found[kinds[3]]  # A single column a, b or c is not an angle.
     turned = next(iter(found), ())
     if len(found) > 1 or (found and len(found[turned]) < len(turned)):
         every = ", ".join(name for have in found.values() for name in have)
@@ -321,7 +321,7 @@ def _read_csv(
 def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, prefix: str) -> np.ndarray:
     """Return positions (m, 3), or poses (m, 4, 4) if values (m, 7 or 6) also have a quaternion or angles.
 
-    lines: numbers of the lines, and prefix: of the column names, both for messages.
+    lines: numbers of the lines, and prefix: beginning of the column names, both for messages.
     """
     xyz, turned = LENGTHS[given.length_unit] * values[:, :3], values[:, 3:]
     if not turned.shape[1]:

@@ -32,7 +32,7 @@ def is_by_name(value: Any) -> bool:
 
 
 def _inner(message: Any) -> tuple[Any, Any, Any] | None:
-    """Return a message's header (None without one), point and quaternion (None for a point); None if it is no such message."""
+    """Return a message's header (None without one), point and quaternion (None for a point); None if it is not such a message."""
     header = _field(message, "header")
     if header is not None:
         stamped = (_field(message, inner) for inner in ("pose", "transform", "point"))
@@ -45,7 +45,7 @@ def _inner(message: Any) -> tuple[Any, Any, Any] | None:
 
 
 def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | None] | None:
-    """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None if it is no such message.
+    """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None if it is not such a message.
 
     Args:
         message: a geometry_msgs Pose, PoseStamped, Transform, TransformStamped, Point, PointStamped or Vector3, or an object or
@@ -66,7 +66,7 @@ def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | No
 
 
 def listed_poses(message: Any, base: str = "") -> list[Any] | None:
-    """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is no such message.
+    """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is not such a message.
 
     Raises InvalidTarget if it is given in another frame than `base` (as in `read_pose`).
     """
@@ -102,7 +102,7 @@ def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
 
     Args:
         message: what may be a JointState: parallel lists `name` and `position`.
-        name: of the argument, for messages.
+        name: name of the argument, for messages.
 
     Raises:
         InvalidConfiguration: the lists differ in length, or a joint is named twice.

@@ -17,7 +17,7 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE: words for sensors and objects, which are taken as a tip only if there is no arm.
+# SCENE: words for sensors and objects, which are accepted as a tip only if there is no arm.
 # OTHERS: these, and words for fingers, legs and other parts on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "

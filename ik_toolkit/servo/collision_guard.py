@@ -109,7 +109,7 @@ class Guard:
         return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore pickled attributes; distances are measured anew, and the model is read again if it has changed."""
+        """Restore pickled attributes; distances are measured again, and the model is read again if it has changed."""
         corners = state.pop("corners")
         vars(self).update(state)
         self._space = Clearance(self.model)

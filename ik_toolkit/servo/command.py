@@ -34,7 +34,7 @@ from .laws import (
     invert,
     prepare,
 )
-from .null_space_motion import away_from_limits, bend, clip_wish, into_null_space, weigh
+from .null_space_motion import away_from_limits, bend, into_null_space, scale_secondary, weigh
 from .singular_directions import judge_modes, remember
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 
@@ -76,7 +76,7 @@ def inverse_of(s):
 
 
 @inline
-def find_wishes(law, s, limits, wish, base):
+def desired_null_velocity(law, s, limits, wish, base):
     """Write to s.g (n,) the desired null-space velocity; return False, with s.g undefined, if there is none.
 
     It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the
@@ -95,25 +95,25 @@ def find_wishes(law, s, limits, wish, base):
     into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
     along_lost(s.V, s.lost, s.xk, s.g, 0.0)
     down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
-    clip_wish(s.g, base, s.floor, s.roof)
+    scale_secondary(s.g, base, s.floor, s.roof)
     return True
 
 
 @inline
-def lean_not(law, rule, s, limits, wish, rate, h):
-    """Return False (no secondary motion was applied): published laws add it later, solver rules beforehand (`lean_over`)."""
+def skip_shift(law, rule, s, limits, wish, rate, h):
+    """Return False, as no joint is shifted: published laws add secondary motion later. (Solver rules: `shift_by_secondary`.)"""
     return False
 
 
 @inline
-def lean_over(law, rule, s, limits, wish, rate, h):
+def shift_by_secondary(law, rule, s, limits, wish, rate, h):
     """Shift s.at (n,) by the secondary motion of one step, so that the solver's iteration cancels its effect on the tip.
 
     Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
     """
     if law.mode != CLIP:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
-        if find_wishes(law, s, limits, wish, rate):
+        if desired_null_velocity(law, s, limits, wish, rate):
             add_multiple(s.at, h, s.g, rate.shape[0])
             return True
     clear(s.g)
@@ -121,14 +121,14 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 
 @inline
-def add_wishes(law, s, given, ratio, h, memory):
+def add_secondary_motion(law, s, given, ratio, h, memory):
     """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command, which they extrapolate.
 
     If the secondary motion were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
     (methods ca, aa, aad) the present null-space velocity converges to the desired velocity, at a rate that fades to 0 with the
     desired speed. ratio: this step's h over that of the last step.
     """
-    if find_wishes(law, s, given.limits, given.wish, s.x):
+    if desired_null_velocity(law, s, given.limits, given.wish, s.x):
         n, kept, share = s.g.shape[0], 0.0, 1.0
         if law.code >= LAW.ca:
             size = math.sqrt(dot(s.g, s.g, n))
@@ -228,7 +228,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
         if law.code == LAW.cv:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
-    add_wishes(law, s, given, ratio, h, own.memory)
+    add_secondary_motion(law, s, given, ratio, h, own.memory)
     return damped
 
 
@@ -273,13 +273,13 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
     )
 
 
-def lean(law, rule, s, limits, wish, rate, h):
-    """Shift joint values for the command, by `lean_not` or `lean_over`; numba compiles the overload below instead."""
-    how = lean_not if isinstance(rule, Published) else lean_over
+def shift_joints(law, rule, s, limits, wish, rate, h):
+    """Shift joint values for the command, by `skip_shift` or `shift_by_secondary`; numba compiles the overload below instead."""
+    how = skip_shift if isinstance(rule, Published) else shift_by_secondary
     return how(law, rule, s, limits, wish, rate, h)
 
 
-@overload(lean, jit_options=INLINE)
+@overload(shift_joints, jit_options=INLINE)
 def _lean(law, rule, s, limits, wish, rate, h):
-    how = lean_not if rule.instance_class is Published else lean_over
+    how = skip_shift if rule.instance_class is Published else shift_by_secondary
     return lambda law, rule, s, limits, wish, rate, h: how(law, rule, s, limits, wish, rate, h)

@@ -42,7 +42,7 @@ class DampedDescent(NamedTuple):
     # Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
     idle: float = 0.01
     reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-    reversals: float = 2.0  # An arm is stuck after so many joint reversals.
+    reversals: float = 2.0  # An arm is stuck after this many joint reversals.
     forgotten: float = 0.1  # [s] time after which a reversal is forgotten
     first: float = 0.5  # initial value of the factor `share`
     least: float = 0.02  # least value of the factor `share`; with a lower value joints turn back repeatedly
@@ -70,7 +70,7 @@ def feedback(law, h):
 def stuck(law, s, limits, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
-    square: squared weighted error now; `state` is updated. The target stands if neither its twist s.f (m,) nor the difference
+    square: squared weighted error now; `state` is updated. The target stands still if neither its twist s.f (m,) nor the difference
     between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
     give a zero twist for a target that moves. In mode CLIP, which keeps to the published laws, the result is always False.
     """

@@ -1,6 +1,6 @@
 """Two least-squares objectives in order of priority, with the active constraints as equalities.
 
-This is the problem of one iteration of hierarchical_qp.py. It is solved anew in each iteration, so that errors do not accumulate,
+This is the problem of one iteration of hierarchical_qp.py. It is solved again in each iteration, so that errors do not accumulate,
 by Gram-Schmidt with pivoting and reorthogonalisation. That costs N r^2 operations for N unknowns and r rows.
 """
 
@@ -18,7 +18,7 @@ NONE = -1  # index that means "no constraint"
 SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.
 # Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976).
 CLEAR = 0.5
-# A squared length below this share of the original one is computed anew, because subtraction has lost its digits.
+# A squared length below this share of the original one is computed again, because subtraction has lost its digits.
 DOUBTFUL = 1e-6
 ROUNDING = 1e-13  # A sum below this share of the sum of its terms' magnitudes is rounding.
 
@@ -61,7 +61,7 @@ class TwoLevels(NamedTuple):
     want: Array  # (N,) values desired by the second objective
     floor: Array  # (N,) lower bounds
     roof: Array  # (N,) upper bounds
-    scaling: Array  # (N,) the joint rate that an unknown of 1 stands for, see constrained_step.py
+    scaling: Array  # (N,) the joint rate that an unknown of 1 represents, see constrained_step.py
     P: Array  # (K, N) coefficients: the inequalities, each of norm 1, then the task
     rhs: Array  # (K,) right-hand sides
     length: Array  # (K,) norms of the rows of P
@@ -109,7 +109,7 @@ def is_free(p, i):
 
 @inline
 def slot(p, k):
-    """Return the index of row k among the multipliers, where the bounds stand between inequalities and task."""
+    """Return the index of row k among the multipliers, where the bounds are stored between inequalities and task."""
     return k if k < p.planes else k + p.size
 
 
@@ -135,7 +135,7 @@ def take_in(b, row, q, size, n):
 def row_basis(p, last):
     """Build an orthonormal basis of the active rows in the free unknowns: first of the inequalities, then of the task rows.
 
-    last: inequality that is taken after all others, or NONE. Returns the number of basis vectors from inequalities, the number of
+    last: inequality that is added after all others, or NONE. Returns the number of basis vectors from inequalities, the number of
     all basis vectors, and an active inequality that depends linearly on the others, or NONE.
     """
     b = p.b

@@ -92,7 +92,7 @@ def unmet(p):
 
 @inline
 def begin(p, cold):
-    """Compute the row norms and set the initial active set: the present one, or none if `cold`.
+    """Compute the row norms and set the initial active set: the present one, or an empty one if `cold`.
 
     Unknowns with equal bounds are always held.
     """
@@ -115,7 +115,8 @@ def solve_levels(p):
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        adding = False  # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
+        # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
+        adding = False
         for _ in range(10 * (p.planes + p.size)):
             dependent = equality(p, new if new < p.planes else NONE)
             if not adding:
@@ -209,7 +210,7 @@ def exchange(p, dependent, newest):
     """
     parts(p, dependent)
     own, side = p.new.first[newest], p.active[newest]
-    # The new constraint is no part of the combination, so the inequality seemed independent only through rounding.
+    # The new constraint is not part of the combination, so the inequality seemed independent only through rounding.
     if not abs(own) > SAME:
         return dependent
     one, two, blocking = np.inf, np.inf, NONE

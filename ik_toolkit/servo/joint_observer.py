@@ -53,7 +53,7 @@ class JointObserver:
     """
 
     def __init__(self, n: int, delay: int, noise: float) -> None:
-        """Begin without an offset. Raises InvalidOption for a delay that is no whole number, or a negative noise."""
+        """Begin without an offset. Raises InvalidOption for a delay that is not a whole number, or a negative noise."""
         self.delay, self.noise = whole(delay, "delay [samples]", 0), number(noise, "noise [rad]")
         if self.delay > FILTER.longest:
             raise InvalidOption(f"delay must be at most {FILTER.longest} samples, not {delay!r:.60}")

@@ -108,7 +108,7 @@ PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python p
 class TargetMotion(NamedTuple):
     """A target's pose error and motion, arrays (m,)."""
 
-    e: Array  # error: target now minus tip now
+    e: Array  # error now: pose of the target minus pose of the tip
     ahead: Array  # target at the end of the step minus tip now
     v: Array  # velocity of the target now
     a: Array  # acceleration of the target now
@@ -388,7 +388,7 @@ def settle(p, h, rate_before, x, code, prev):
 
 
 @dual
-def own_up(p, h, ratio, wanted, x, prev):
+def rewrite_command(p, h, ratio, wanted, x, prev):
     """Change `prev` to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
 
     wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0 at the start.

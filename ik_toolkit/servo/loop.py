@@ -3,7 +3,7 @@
 A method (a published law, or a solver with one iteration a sample) commands joint rates. Their part along
 singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
 the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
-otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target takes damped
+otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a stationary target takes damped
 least-squares steps to the least error nearby (damped_descent.py). In mode CLIP the method is as published: damped in all
 directions near singular poses, each joint clipped on its own.
 """
@@ -23,11 +23,11 @@ from ..kernel.dispatch import problem_on
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import step_class
 from ..kernel.vectors import apply_transposed, clear
-from .command import Moment, Published, copy_rows, lean, wanted
+from .command import Moment, Published, copy_rows, shift_joints, wanted
 from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
-from .laws import CLIP, START, STATE, Law, apply, factor, own_up, settle
-from .null_space_motion import SLACK, lay_aside, reflect, slack_rows
+from .laws import CLIP, START, STATE, Law, apply, factor, rewrite_command, settle
+from .null_space_motion import SLACK, mirror_free_rows, reflect, slack_rows
 from .singular_step import along_lost, by_modes
 from .viability import (
     CALMED,
@@ -54,7 +54,7 @@ class LoopEnd(NamedTuple):
 
     fine: int = 0  # all steps are taken
     not_finite: int = 1  # the command is not finite
-    runaway: int = 2  # the move is too large
+    runaway: int = 2  # the joints move too far in one step
 
 
 STOP = LoopEnd()
@@ -62,7 +62,7 @@ LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above 
 
 
 @inner
-def set_out(law, J, f, G, y, limits, q, rate, state):
+def initial_rates(law, J, f, G, y, limits, q, rate, state):
     """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited so that the joints can brake."""
     if state[STATE.start] == START.with_target:
         factor(J, J.shape[1], law.damping, G, y)
@@ -78,7 +78,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
 
 
 @inline
-def take_stock(task, look, s, V, A, plain, counts, E):
+def evaluate_task(task, look, s, V, A, plain, counts, E):
     """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
 
     E is in base axes, reduced by the slack (dead band) of each error.
@@ -94,7 +94,7 @@ def take_stock(task, look, s, V, A, plain, counts, E):
         E[k] -= min(max(E[k], -slack[k]), slack[k])
     if not plain:
         task.mirrors(s.flip)
-        lay_aside(s.flip, s.J, s.e)
+        mirror_free_rows(s.flip, s.J, s.e)
         reflect(s.flip, s.f)
         reflect(s.flip, s.a)
 
@@ -108,7 +108,7 @@ def leave_out(J, floor, roof):
 
 
 @inline
-def quieten(law, s, rate, swings, h, state):
+def limit_oscillation(law, s, rate, swings, h, state):
     """Limit the acceleration of oscillating joints, if limits or a singular pose have hindered joints lately.
 
     Otherwise the reversals may be due to the motion of the target itself.
@@ -118,7 +118,7 @@ def quieten(law, s, rate, swings, h, state):
 
 
 @inline
-def look_on(law, s, code, swings, h, state):
+def record_oscillation(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
     A limit on the acceleration of an oscillating joint (CALMED) does not count as a hindrance.
@@ -131,7 +131,7 @@ def look_on(law, s, code, swings, h, state):
 
 
 @inner
-def gather(law, lines, level, planes, edges):
+def copy_planes(law, lines, level, planes, edges):
     """Copy the collision inequalities (lines x <= level) to `planes` and `edges`; return their number, law.rows."""
     for k in range(int(law.rows)):
         copy(lines[k], planes[k])
@@ -224,7 +224,7 @@ def by_clipping(law, s, count, mu, h, own, work, code):
     return False
 
 
-def obey(rule, law, s, count, mu, h, own, work, code):
+def apply_limits(rule, law, s, count, mu, h, own, work, code):
     """Write the rates that limits allow, by `by_constraints` (published laws) or `by_clipping` (solvers).
 
     Numba compiles the overload below instead.
@@ -233,7 +233,7 @@ def obey(rule, law, s, count, mu, h, own, work, code):
     return how(law, s, count, mu, h, own, work, code)
 
 
-@overload(obey, jit_options=INLINE)
+@overload(apply_limits, jit_options=INLINE)
 def _obey(rule, law, s, count, mu, h, own, work, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
     return lambda rule, law, s, count, mu, h, own, work, code: how(law, s, count, mu, h, own, work, code)
@@ -280,27 +280,27 @@ def run(step, arm, given, own, samples, out, h, block):
                 if not plain:
                     reflect(s.flip, s.ahead)
                 break
-            take_stock(task, look, s, V[i], A[i], plain, counts, E[i])
+            evaluate_task(task, look, s, V[i], A[i], plain, counts, E[i])
             if state[STATE.start] == START.with_target or state[STATE.start] == START.given:
-                set_out(law, s.J, s.f, s.G, s.y, limits, q, rate, state)
+                initial_rates(law, s.J, s.f, s.G, s.y, limits, q, rate, state)
             copy(q, Q[i])
             copy(rate, R[i])
             S[i] = 0.0
             if i == E.shape[0] - 1:
                 return i
             boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
-            if lean(law, rule, s, limits, wish, rate, h):
+            if shift_joints(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
         if law.mode != CLIP:
             leave_out(s.J, s.floor, s.roof)
-        count = gather(law, lines, level, s.planes, s.edges)
+        count = copy_planes(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
         count = slack_rows(counts[1], s, count, h, state)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i] = min(max(state[STATE.near], 0.0), 1.0)
-        quieten(law, s, rate, swings, h, state)
+        limit_oscillation(law, s, rate, swings, h, state)
         if mu == 0.0:
             S[i] = wanted(law, rule, task, look, weights, s, given, own, Moment(count, h))
         copy(rate, s.before)
@@ -310,10 +310,10 @@ def run(step, arm, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            held = obey(rule, law, s, count, mu, h, own, work, C[i])
-            look_on(law, s, C[i], swings, h, state)
+            held = apply_limits(rule, law, s, count, mu, h, own, work, C[i])
+            record_oscillation(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
-                own_up(law, h, ratio, s.w, s.x, memory)
+                rewrite_command(law, h, ratio, s.w, s.x, memory)
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)

@@ -1,4 +1,4 @@
-"""The tracking methods and their options, and a runner for systems that are no robots.
+"""The tracking methods and their options, and a runner for systems that are not robots.
 
 Four methods are published (Patko and Zelei, 2019) and one is ours. With e = target - actual (the paper has the opposite
 sign), J^+ the (damped) pseudo-inverse, qd the joint rates, v and a_d the target's velocity and acceleration, and s =

@@ -68,7 +68,7 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
             to keep the row.
 
     Raises:
-        InvalidOption: A value is no number, there is no such joint, a speed or acceleration is negative, or lower is
+        InvalidOption: A value is not a number, there is no such joint, a speed or acceleration is negative, or lower is
             above upper.
     """
     rows, unit = rows.copy(), robot.chain.unit

@@ -84,7 +84,7 @@ def by_difference(task, s):
 
 
 @inner
-def lay_aside(flip, J, e):
+def mirror_free_rows(flip, J, e):
     """Mirror J (n, m) and the error e (m,) as in `reflect`, and set the components about free axes to exactly zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
@@ -162,7 +162,7 @@ def away_from_limits(q, limits, gain, g):
 
 
 @inner
-def clip_wish(g, x, low, top):
+def scale_secondary(g, x, low, top):
     """Scale the secondary motion g (n,) to use at most half of the margin between x and the rate bounds low, top."""
     scale = 1.0
     for i in range(x.shape[0]):

@@ -71,7 +71,7 @@ class Bent(NamedTuple):
 
 
 class Orbit(NamedTuple):
-    """What a step needs of its state beside the joint values, for N steps.
+    """What a step needs of its state in addition to the joint values, for N steps.
 
     rate (N, n): joint rates; error, ahead (N, m): target now, and at the end of the step, minus tip now; v, a (N, m): velocity and
     acceleration of the target.
@@ -171,7 +171,7 @@ class PathMotion:
         steps = step_matrices(bent, orbit, method, h, gains, null_damping)
         blocks = np.eye(steps.shape[-1] // self.robot.n)
         total, scale = chained(steps)
-        # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
+        # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is not an error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=ORBIT.singular))
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off, bend = np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max()

@@ -202,8 +202,7 @@ def stability_chart(
     for i, count in enumerate(counts):
         for j, x in enumerate(gain):
             used = {"kappa": x} if method == "cv" else {"kp": kp_share * x * x, "kd": x}
-            # With a sample time of 1 s, a gain equals the gain times the sample time; `pace` is set so that the path has the right
-            # number of samples.
+            # The sample time is set to 1 s, so gains equal their products with it, and `pace` gives the path its number of samples.
             per_step[i, j] = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count)).per_step
     kept = kp_share if method == "ca" else 0.0
     return StabilityChart(method, robot.name, path.name, kept, gain, counts, length / counts, per_step)

@@ -1,4 +1,4 @@
-"""Another posture for a tracker, if the arm stands at limits and only other joint values reach the target.
+"""Another posture for a tracker, if the arm is held at limits and only other joint values reach the target.
 
 `Postures` finds joint values near given ones that reach the targets, by single attempts of the solver;
 `Reconfiguration` decides when to search and when to move.
@@ -136,21 +136,21 @@ class Searching(NamedTuple):
     """When another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
-    attempts: int = 96  # if one attempt in ten succeeds, all fail in one search of 25,000
+    attempts: int = 96  # number of attempts; if one attempt in ten succeeds, all of them fail in one search of 25,000
     attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
     share: float = 0.05  # share of the time between two updates that a search may take, so that it ends within 0.02 s
     # A search ends after this share of the duration of the best move found, because the arm is waiting.
     rush: float = 0.02
     pause: float = 3.0  # [s] after a search that found nothing; it doubles each time while the target stands still
     longest: float = 16.0  # [s] longest pause, so that 99 % of the updates do not search
-    # [m, or rotation matrix entries] If a standing target has moved further, a new search need not wait for the pause.
+    # [m, or rotation matrix entries] If a stationary target has moved further, a new search need not wait for the pause.
     elsewhere: float = 0.02
 
 
 class Moving(NamedTuple):
     """What a move to another posture costs, when it is made, and when it ends."""
 
-    standing: float = 0.3  # to a standing target a move is made once the error has cost this share of the move's cost
+    standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
     on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
     # [s] Joints at full speed should need this time from a posture to their position limits; what is missing is a cost.
     headroom: float = 0.5

@@ -66,7 +66,7 @@ class Clock(NamedTuple):
 
     s: np.ndarray  # [s] the reference's time
     rate: np.ndarray  # ds/dt, 1 in the reference's own time
-    gain: np.ndarray  # [1/s] d2s/dt2
+    gain: np.ndarray  # [1/s] d2s/dt2, the rate of change of ds/dt
     joint: np.ndarray  # index of the joint that limits the rate, or -1
 
 
@@ -91,8 +91,8 @@ class Taken(NamedTuple):
     S: np.ndarray
     C: np.ndarray
     clock: Clock
-    end: np.ndarray  # state of the tracker at the end
-    elapsed: float  # [s] time of stepping
+    end: np.ndarray  # state that the tracker carries at the end of the run
+    elapsed: float  # [s] time that the steps took to compute
     between: tuple[str, str] | None  # names of the two parts that would most often have touched
 
 

@@ -163,7 +163,7 @@ def track(
 
 
 def _references(robot: Any, reference: Any) -> list[Reference]:
-    """Return one reference per tip. Raises InvalidOption if `robot` is no robot, InvalidTarget if a reference is missing."""
+    """Return one reference per tip. Raises InvalidOption if `robot` is not a robot, InvalidTarget if a reference is missing."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
     if not robot.by_tip:

@@ -20,7 +20,7 @@ from .singular_step import (
     BESIDE,
     BOTH,
     WEAK,
-    begin_bent,
+    begin_curved,
     bent_direction,
     bring_along,
     mode_direction,
@@ -57,7 +57,7 @@ def begin_mode(s, r, free, way, away):
     if not there:
         s.lost[r], s.xk[r] = 1.0, 0.0
     elif free:
-        begin_bent(s.W, s.V[r], s.sv, r, away, s.x1)
+        begin_curved(s.W, s.V[r], s.sv, r, away, s.x1)
     return there
 
 
@@ -98,8 +98,8 @@ class WeakMode(NamedTuple):
     sigma: float  # tip motion along u_r per unit of joint motion along V_r
     # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
     rest: float
-    own: float  # rate of the joints along V_r
-    error: float  # error along u_r
+    own: float  # present rate of the joints along V_r
+    error: float  # error along the task direction u_r
     moved: float  # motion of the target along u_r in a step
 
 

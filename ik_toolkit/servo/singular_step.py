@@ -194,7 +194,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 
 @inner
-def begin_bent(W, v, sigma, r, away, x):
+def begin_curved(W, v, sigma, r, away, x):
     """Write to x (n,) the joint direction that `bent_direction` starts from: `away` (n,) less what moves the tip, or v (n,)."""
     copy(away, x)
     size = leave_modes(W, sigma, r, x)
@@ -208,7 +208,7 @@ def bent_direction(W, v, sigma, r, slope):
 
     If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
     to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
-    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_bent` wrote (one
+    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_curved` wrote (one
     step of a power iteration).
     """
     size = leave_modes(W, sigma, r, slope)

@@ -81,7 +81,8 @@ class Outcome(NamedTuple):
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
     finite: bool  # whether all numbers of the target were finite
-    lag: float  # largest difference between measured and commanded joints, as a share of the allowed one; infinite if not finite
+    # largest difference between measured and commanded joints, as a share of the allowed one; infinite if not finite
+    lag: float
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
     # On a move to another posture: names of the joints whose limits caused it. On the way to a target that jumped: the way chosen.
@@ -89,7 +90,7 @@ class Outcome(NamedTuple):
     way: tuple[str, ...] | Choice | None
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...)
+make_outcome = partial(tuple.__new__, Outcome)  # makes an Outcome faster than Outcome(...) does
 
 
 class Step:
@@ -134,8 +135,8 @@ class Step:
         if held & viability.RECOVERING:
             return StepStatus.RECOVERING
         if o.way is not None:
-            leapt = isinstance(o.way, Choice) and o.way.ratio < math.inf
-            return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
+            jumped = isinstance(o.way, Choice) and o.way.ratio < math.inf
+            return StepStatus.LIMITED if jumped else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
         if (held or o.lost or self._rests()) and self.at_rest and self._away() and not self._falls():
@@ -270,5 +271,7 @@ def _on_the_way(way: tuple[str, ...] | Choice) -> str:
         where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
         return f"moving to another posture that reaches the target{where}"
     if way.straight:
-        return "the target leapt: going straight there as fast as the limits allow"
-    return f"the target leapt: going there through the joints, as the straight way takes {way.ratio:.2g} times as long"
+        return "the target jumped: going straight there as fast as the limits allow"
+    return (
+        f"the target jumped: moving there in joint space, as a straight line would take {way.ratio:.2g} times as long"
+    )

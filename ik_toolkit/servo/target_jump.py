@@ -2,8 +2,8 @@
 
 The feedback of a method closes an error in proportion to its size. Inside joint limits that loses time twice: the tip slows down
 long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go
-on. So if an error hardly falls although the target stands, joint values are solved for at once, for the target and for
-points on the straight line before it. The line is taken unless it needs more than STRAIGHT times as long as moving all
+on. So if an error hardly falls although the target stands still, joint values are solved for at once, for the target and for
+points on the straight line before it. The line is chosen unless it needs more than STRAIGHT times as long as moving all
 joints directly (`travel`). If the solver's attempt from the present joint values fails, other starts are tried
 (reconfigure.py), as feedback would mostly fail, too.
 """
@@ -26,7 +26,7 @@ from .viability import HELD_BACK, LIMIT, POSITION, UNKNOWN, bending, time_left, 
 STRAIGHT = 1.2
 
 
-class Leaping(NamedTuple):
+class JumpThresholds(NamedTuple):
     """When a joint move or a straight line takes over from the tracking method, and when it gives back."""
 
     # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
@@ -35,12 +35,12 @@ class Leaping(NamedTuple):
     near: float = 2e-3  # [m] An error smaller than this (1 rad counts as length_scale) is left to the tracking method.
     # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
     slow: float = 0.5
-    # The posture that moves slow joints less is taken if its move takes less than this share of the time.
+    # The posture that moves slow joints less is chosen if its move takes less than this share of the time.
     sooner: float = 0.5
     close: float = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 
-LEAP = Leaping()
+LEAP = JumpThresholds()
 
 
 class Route(NamedTuple):
@@ -113,12 +113,12 @@ class Leap:
         if taken.left < LEAP.slow * self.postures.size(taken.E[0]):
             return
         # A target that came here smoothly may be turning back, so the arm waits.
-        if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
+        if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < WAIT:
             return
         self._place = T[1].copy()
         # After a smooth motion a joint at its limit means that only another posture can continue.
         # An operator who locks a joint wants no large moves.
-        if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
+        if (not taken.stand[STAND.jumped] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
         if len(found):
@@ -127,13 +127,13 @@ class Leap:
                 found = sooner
         self._enough = max(self._patience(taken.law), LEAP.close)
         if len(found) and time_left(q, found[0], limits) > self._enough:
-            self._set_out(found[0], taken)
-        elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= LEAP.close:
+            self._choose_way(found[0], taken)
+        elif not len(found) and taken.stand[STAND.jumped] and self._elsewhere and self._enough <= LEAP.close:
             # There is only one search for each jump, even if the target creeps on.
-            taken.stand[STAND.leapt] = 0.0
+            taken.stand[STAND.jumped] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
 
-    def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
+    def _choose_way(self, goal: np.ndarray, taken: Taken) -> None:
         """Choose between a straight line and a joint move to a goal (n,), and set `self.goal` if one is possible."""
         straight = self._straight(goal, taken)
         ratio = straight.t[-1] / least_time(np.abs(goal - taken.q), taken.limits) if straight else math.inf

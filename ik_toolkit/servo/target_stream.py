@@ -23,7 +23,7 @@ from .workspace import Samples, new_samples, samples_of
 READ, CHECK, REFUSED = range(3)  # state of a target given to `arrive`: checked, still to be checked, or refused
 # results of `arrive`: accepted, to be checked in full by Python, or not finite (the last target is kept)
 TAKEN, DOUBTFUL, HELD = range(3)
-STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
+STILL = 2e-3  # [m, or rotation matrix entries] largest change of a stationary target in WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
 
 
@@ -52,7 +52,7 @@ class Stand(NamedTuple):
     """
 
     seconds: int  # [s] for which the target has stood still, to within STILL
-    leapt: int  # 1: the target jumped to the pose at which it now stands still
+    jumped: int  # 1: the target jumped to the pose at which it now stands still
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
     rest: int  # [s] for which the target has been at rest; a trembling target never is
     known: int  # 1: the rest of the array holds the F poses at which the target stands still
@@ -120,7 +120,7 @@ def look(T, stand, dt):
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = distance_between(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > STILL:
-        stand[at.leapt] = 1.0 if moved > ARRIVAL.jump or (stand[at.leapt] != 0.0 and moved <= most) else 0.0
+        stand[at.jumped] = 1.0 if moved > ARRIVAL.jump or (stand[at.jumped] != 0.0 and moved <= most) else 0.0
         stand[at.seconds], stand[at.known] = 0.0, 1.0
         for k in range(now.shape[0]):
             stand[first + k] = now[k]
@@ -216,7 +216,7 @@ class Stream(CopiesViews):
     def look_anew(self) -> None:
         """Forget the pose at which the target stood still, so that it counts as having jumped when it next stands still."""
         self.stand[:] = 0.0
-        self.stand[STAND.leapt] = 1.0
+        self.stand[STAND.jumped] = 1.0
         self.unseen = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
@@ -383,7 +383,7 @@ class Stream(CopiesViews):
 
 
 def _finite(one: Any) -> bool:
-    """Return whether all numbers of a tip's target are finite; True if it is no target at all, which is refused later."""
+    """Return whether all numbers of a tip's target are finite; True if it is not a target at all, which is refused later."""
     try:
         return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):

@@ -61,8 +61,8 @@ class Tracker(CopiesViews, ReadOnly):
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
         reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
             (RECONFIGURING): at once if the target rests, else when the error has cost as much as the move. Not with a locked joint.
-        straight: Only with "direct". To a target that jumped and stands, the tip moves straight. If that takes more than `straight`
-            times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
+        straight: Only with "direct". To a target that jumped and stands still, the tip moves straight. If that takes more than
+            `straight` times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
         options: Of the method, and mask, slack, free_turn, frame, priority, relative_to, length_scale (0.2 m) of `ik.solve`.
 
@@ -189,7 +189,7 @@ class Tracker(CopiesViews, ReadOnly):
     ) -> None:
         """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
 
-        Joints beyond a new limit are brought back (RECOVERING); one of speed 0 brakes and stays. Raises InvalidOption.
+        Joints beyond a new limit are brought back (RECOVERING); at a speed limit of 0 a joint brakes and stays. Raises InvalidOption.
         """
         given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
         self._limits[:] = changed_limits(self.robot, self._limits, given)

@@ -201,7 +201,7 @@ class Bench(NamedTuple):
     W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
     V: Array  # (m, n) v_k of the singular directions as rows
     free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
-    U: Array  # (m, m) u_k as rows
+    U: Array  # (m, m) task directions u_k of the singular values, one a row
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task

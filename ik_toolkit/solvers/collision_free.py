@@ -44,7 +44,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     """Return a finishing step that replaces a converged answer in contact by one free of contact, and then improves it.
 
     Random starts are solved in rounds of ROUND starts (with `closest` in a single round of all). The first round with
-    solutions free of contact ends the search, and of these the one nearest the start is taken. Without any, the status is
+    solutions free of contact ends the search, and of these the one nearest the start is chosen. Without any, the status is
     COLLISION. The counts are those of all starts. `then`: steps that improve a free answer; one that causes a contact is
     undone.
     """

@@ -121,7 +121,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
     A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
     solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
-    Other targets stay undecided, and their rows as they are. Returns whether the whole search is to go on for some target.
+    Other targets stay undecided, and their rows as they are. Returns whether the whole search is to continue for some target.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -191,7 +191,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Return the elimination's orderings of the loop and its array of the arm: the first arguments of `binding.answers`."""
+    """Return the first arguments of `binding.answers`: the orderings of the loop, and the array (52,) that describes the arm."""
     p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
     return forms_of(p.tobytes()), p
 
@@ -249,7 +249,7 @@ class Deciding(Plan):
             out[left] = made
 
     def _decide(self, T: np.ndarray, kinds: tuple, starts: np.ndarray, given: bool, made: np.ndarray) -> None:
-        """Let the elimination decide on result rows `made` (N, width); where it is not certain, the whole search goes on."""
+        """Let the elimination decide on result rows `made` (N, width); where it is not certain, the whole search continues."""
         rows, ends, box, orders, terms, (forms, arm) = self._fixed(given)
         found = answers(forms, arm, np.ascontiguousarray(T), self.within)
         if not decide_rows(rows, ends, T, found, box, starts, orders, terms, made):

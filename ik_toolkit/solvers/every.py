@@ -36,10 +36,10 @@ class CertainLists(NamedTuple):
     table: np.ndarray  # (M, 3 + n) the rows of `polish.list_branches` of all poses
     # (N, 2) index of the first row of each pose, and number of its rows, or -1 if its list is not certain
     counts: list[list[int]]
-    notes: np.ndarray  # (N, .) evidence, see `certificate_of`
+    notes: np.ndarray  # (N, .) evidence that each list is complete, see `certificate_of`
 
     def rows(self, k: int) -> np.ndarray:
-        """Return the rows of pose k."""
+        """Return the rows of `table` that belong to pose k."""
         first, kept = self.counts[k]
         return self.table[first : first + kept]
 

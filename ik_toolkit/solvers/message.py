@@ -168,7 +168,7 @@ def _outside(result: Any) -> str:
 
 
 def _left(result: Any) -> str:
-    """Say which errors are left at q; of several tips the largest."""
+    """Say which errors are left at q; for several tips the largest."""
     each, unit = unweighted(result)
     turned = [angle for _, angle in each if angle is not None]
     return _said(max(position for position, _ in each), max(turned, default=None), unit)

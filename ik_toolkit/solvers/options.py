@@ -42,8 +42,8 @@ class Options:
     same answer again. At least 256 evaluations are always made. seed: number that fixes the random starts. length_scale: after a
     failure q has the least error nearby, in which a position error of this length [m] counts as much as one radian (None: the
     robot's reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or
-    a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may go on from the other end
-    of its range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop).
+    a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may continue from the other
+    end of its range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop).
     q0_outside: 'clamp' (with a notice) or 'refuse'.
 
     These options say which part of the errors counts. A tip has the errors x, y, z [m] (target - tip) and rx, ry, rz [rad] (the
@@ -56,14 +56,14 @@ class Options:
     allows; "orientation" is the other way round. For several tips it may be a list, most important first, of tips ("left_tip"),
     pairs ("left_tip", "position"), or lists of these that are equally important; what is not named comes last.
 
-    relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each
+    relative_to: for a Tree, a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each
     joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0.
     objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
     'manipulability'. history: keep errors and q of every iteration. check: re-check with Pinocchio. avoid_collisions: True (the
     robot's own links), a margin [m] to keep between them, or a CollisionModel: only answers without contact count, and the search
-    goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
-    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be combined with
-    closed forms, closest, restarts or objective.
+    continues until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than
+    this [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be combined
+    with closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6

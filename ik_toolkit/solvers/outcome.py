@@ -22,7 +22,7 @@ class SolveRecord(NamedTuple):
 
     # The target and q0 are kept as bytes: a copy costs a quarter of an array's, and the caller may change both arrays later.
     plan: Plan
-    target: bytes  # the targets (1, 4, 4), of several tips (1, F, 4, 4), or b"" in a solved row of a batch
+    target: bytes  # the targets (1, 4, 4), for several tips (1, F, 4, 4), or b"" in a solved row of a batch
     kinds: tuple
     q0: bytes  # the configuration (n,) given as the start, or b""
     # result row of the compiled search: an Answer, q, and for several tips the errors (Miss) of each
@@ -41,7 +41,7 @@ class SolveRecord(NamedTuple):
 
     @property
     def T(self) -> np.ndarray:
-        """Targets (1, 4, 4), of several tips (1, F, 4, 4); empty in a solved row of a batch."""
+        """Targets (1, 4, 4), for several tips (1, F, 4, 4); empty in a solved row of a batch."""
         return np.frombuffer(self.target).reshape(-1, *self.plan.robot.pose_shape).copy()
 
     @property

@@ -132,7 +132,7 @@ class Plan:
         """
 
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; write the rows of `out` (N, width).
+        """Solve N targets T (N, 4, 4), for several tips (N, F, 4, 4), of the same kinds; write the rows of `out` (N, width).
 
         start (1 or N, n); given: whether it comes from the caller.
         """

@@ -84,7 +84,7 @@ class Rule(Protocol):
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
-        """Return the numbers of the compiled step: a NamedTuple with `step`, an array, or (default) the rule itself."""
+        """Return the parameters of the compiled step: a NamedTuple with a method `step`, an array, or (default) the rule itself."""
         return self
 
     def refuses(self, asked: Asked) -> str:

@@ -368,7 +368,7 @@ def solver_from_file(text: str) -> type:
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-@functools.cache  # each file runs once per process
+@functools.cache  # cached, so that each file runs once per process
 def _classes(path: Path) -> dict[str, type]:
     """Return the classes that a Python file defines, by name. Raises InvalidOption if it does not run."""
     # The module gets a name of its own, so that a file called numpy.py does not hide that package. The name depends on the content,

@@ -31,7 +31,7 @@ class Result(ReadOnly):
     Attributes:
         q: Joint values (n,) [rad or m], evaluated and inside the limits.
         success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
-        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest, times the weights of the mask if it
+        position_error, orientation_error: Errors [m], [rad] at q, for several tips the largest, times the weights of the mask if it
             has any; the second is None if the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
         level_errors: The errors by level of priority, most important first.
@@ -79,12 +79,12 @@ class Result(ReadOnly):
 
     @property
     def position_error(self) -> float:
-        """Distance of the tip from the target at q [m]; of several tips the largest."""
+        """Distance of the tip from the target at q [m]; for several tips the largest."""
         return max(position for position, _ in self._of.left())
 
     @property
     def orientation_error(self) -> float | None:
-        """Angle [rad] between the tip at q and the target, of several tips the largest; None if orientation is free."""
+        """Angle [rad] between the tip at q and the target, for several tips the largest; None if orientation is free."""
         return max((angle for _, angle in self._of.left() if angle is not None), default=None)
 
     @property
@@ -127,7 +127,7 @@ class Result(ReadOnly):
 
     @property
     def raw_error(self) -> np.ndarray:
-        """Errors (6,) of the tip as in `raw_errors`; of several tips those of the one with the largest position error."""
+        """Errors (6,) of the tip as in `raw_errors`; for several tips those of the one with the largest position error."""
         errors = self.position_errors
         return self.raw_errors[max(errors, key=lambda tip: errors[tip])]
 
@@ -271,12 +271,12 @@ class Result(ReadOnly):
         """Return how q follows a small motion x of the target: dq/dx (n, 6), or (n, 3) for a position.
 
         By the implicit function theorem it is the inverse of the Jacobian. x is in base axes: a displacement [m], then a rotation
-        vector [rad]. Of several joint motions that follow x the smallest is taken (angles [rad], lengths over the robot's
+        vector [rad]. Of several joint motions that follow x the smallest is chosen (angles [rad], lengths over the robot's
         scale). Held joints stay; limits are ignored.
 
         Raises:
             NotSolved: The solve failed, so q is not a function of the target.
-            InvalidTarget: The target is no pose or position of one tip, or only a part of it counts.
+            InvalidTarget: The target is neither a pose nor a position of one tip, or only a part of it counts.
             InvalidConfiguration: The arm is singular at q, or has too few joints to follow every motion of the target.
         """
         self.raise_for_status()
@@ -320,7 +320,10 @@ class Result(ReadOnly):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
+        """Return numbers, strings and lists, ready for JSON.
+
+        For several tips the errors by tip under `tips`, None at a free one.
+        """
         at = joint_values(self.robot, self.q)
         plain = {
             "success": self.success,

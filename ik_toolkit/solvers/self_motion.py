@@ -6,7 +6,7 @@ limits cut it, at points found by bisection. A curve that lies between two slice
 (1989), "On the inverse kinematics of redundant manipulators: characterization of the self-motion manifolds".
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from itertools import pairwise
@@ -47,8 +47,8 @@ class Following(NamedTuple):
     shortest: float = 1e-6  # shortest step [rad]; a curve that needs a shorter one ends at a singular pose
     straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
     newton: int = 8  # highest number of Newton steps that bring a point onto the target
-    closed: float = 1e-22  # squared error at which these steps end
-    damping: float = 1e-12  # damping of these steps
+    closed: float = 1e-22  # squared error at which these Newton steps end
+    damping: float = 1e-12  # damping of these Newton steps
     level: float = 1e-5  # a joint that moves by a smaller share of a step counts as reversing there
     same: float = 1e-6  # a point lies on a curve if it is nearer than this [rad]
     past: int = 64  # index of the first point at which closing is tested, then at every doubled index

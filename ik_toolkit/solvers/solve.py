@@ -1,6 +1,6 @@
 """The public calls: `solve` for one target, `solve_all`, and `Solver`, bound once, for loops that must be fast.
 
-Little stands between a call and the compiled loop: a bound solver picks its plan by the kind of target, and the plan calls the
+There is little between a call and the compiled loop: a bound solver picks its plan by the kind of target, and the plan calls the
 loop.
 """
 
@@ -37,7 +37,7 @@ FLOAT = np.dtype(np.float64)
 # options that make sense only if a single answer is returned
 CHOOSING = ("closest", "objective", "history", "follow", "timeout")
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
-EXACT = {  # options that closed forms respect or may ignore; 'auto' takes the search if any other option is given
+EXACT = {  # options that closed forms respect or may ignore; 'auto' chooses the search if any other option is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "length_scale", "limits", "q0_outside", "history", "check",
 }  # fmt: skip

@@ -183,9 +183,9 @@ def _require_position(counts: Counts, at: str) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- targets
 def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
-    """Validate a target; return T (1, 4, 4), of several tips (1, F, 4, 4), its kinds, one per tip, and a notice.
+    """Validate a target; return T (1, 4, 4), for several tips (1, F, 4, 4), its kinds, one per tip, and a notice.
 
-    The target is T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; of several tips a dict by tip of these,
+    The target is T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; for several tips a dict by tip of these,
     or a list in the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a
     dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """

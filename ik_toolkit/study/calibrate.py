@@ -14,7 +14,7 @@ from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
 ELSEWHERE = 0.2  # Measurements farther than this share of the reach from the nominal arm are in another frame.
-DOUBTFUL = 4.0  # If the median error exceeds this many times NOISE, reversed joints are looked for once more.
+DOUBTFUL = 4.0  # If the median error exceeds this many times NOISE, reversed joints are searched for once more.
 SAMPLES = 200  # number of random configurations from which the identifiability over the whole range is computed
 
 

@@ -21,8 +21,8 @@ UNTOLD = 0.5  # singular value below which a direction counts as not determined;
 LEAST = 1e-6  # [m, rad] lower bound on the estimated noise, below that of any instrument
 OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
 LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
-# median squared error, in units of LOOSE, below which no reversed joint is looked for; value above which all sign combinations are
-# tried; largest number of joints for this
+# median squared error, in units of LOOSE, below which no reversed joint is searched for; value above which all sign combinations
+# are tried; largest number of joints for this
 SIGNS = (0.01, 4.0, 7)
 
 
@@ -209,7 +209,7 @@ class ArmFit:
             0.25,
             0.1,
             1e-3,
-        ):  # Rows far from linear dependence are taken first, so that the choice depends little on the data.
+        ):  # Rows far from linear dependence are chosen first, so that the choice depends little on the data.
             for p in order:
                 size = float(np.linalg.norm(left[p]))
                 if size > least and len(fixed) < N.shape[1]:

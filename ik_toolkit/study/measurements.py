@@ -220,7 +220,7 @@ class Measurements:
         return E, D, Z
 
     def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals (m,) [m] of known positions and distances at z, and their derivatives (m, Z)."""
+        """Return the residuals (m,) [m] of the known positions and distances of sockets, given z, and their derivatives (m, Z)."""
         E, D = [], []
         if self.places is not None:
             E, D = [*(z - self.places.ravel())], [*np.eye(len(z))]

@@ -113,7 +113,7 @@ class NewtonCertificate:
 
         Returns:
             (...) integers; -1 where nothing is proven, or where the list lacks the solution. A solution that is whole turns away
-            counts as the same; of several, the nearest is taken.
+            counts as the same; of several, the nearest is chosen.
         """
         Q = floats(getattr(solutions, "q", solutions), "solutions must be numbers", InvalidConfiguration)
         if not Q.size:
@@ -199,7 +199,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     each = np.linalg.norm(np.linalg.inv(to_norm), axis=1) * robot.chain.unit * radius[:, None]
     lower, upper = (
         robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
-    )  # limits as the solver uses them
+    )  # the limits as the solver uses them
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
     shaped = (part.reshape(q0.shape[:-1] + part.shape[1:]) for part in parts)
@@ -266,7 +266,7 @@ def _position_constant(robot: Robot, Q: np.ndarray, around: np.ndarray, turning:
 
 def _rotation_constant(angle: np.ndarray, runs: int) -> np.ndarray:
     """Return bounds (N,) of the second derivatives of phi for |phi| up to `angle` (N,) [rad]; infinite from ALLOW.turned on."""
-    # Below 1e-3 rad the bound at 1e-3 is taken, because the fraction loses its digits.
+    # Below 1e-3 rad the bound at 1e-3 is used, because the fraction loses its digits.
     x = np.clip(angle, 1e-3, ALLOW.turned)
     derivative = 0.5 + (x - np.sin(x)) / (2.0 - 2.0 * np.cos(x))
     return np.where(angle < ALLOW.turned, runs * derivative * 0.5 * x / np.sin(0.5 * x), np.inf)

@@ -64,7 +64,7 @@ class Placement:
 
     @property
     def counts(self) -> str:
-        """Text with the number of poses reached: '12 of 40', of several tips with their names."""
+        """Text with the number of poses reached: '12 of 40', for several tips with their names."""
         names = list(dict.fromkeys(self.tips.tolist()))
         each = [self.reached[self.tips == tip] for tip in names]
         said = [f"{one.sum()} of {len(one)}" for one in each]
@@ -89,7 +89,7 @@ class Placements(Sequence[Placement]):
 
     Attributes:
         robot: Name of the robot.
-        poses: The poses (N, 4, 4), or positions (N, 3), asked for; of a Tree a dict of these by tip.
+        poses: The poses (N, 4, 4), or positions (N, 3), asked for; for a Tree a dict of these by tip.
         found: The placements.
         candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
         shares: Share of the poses that is reached from each (M,), estimated from some of the poses; without the obstacles, where
@@ -168,18 +168,18 @@ def place(
     progress: Callable[[int], None] | None = None,
     **options: Unpack[BatchOptions],
 ) -> Placements:
-    """Find where the robot should stand so that it reaches the most of the poses.
+    """Find base poses of a robot from which it reaches as many of the given poses as possible.
 
     Args:
-        robot: The Robot, whose base goes to the place; of one on a rail (`on_base="rail"`) the rail, whose x axis it moves along.
-            Of a Tree each tip reaches its own poses, one at a time, while the other tips are free.
+        robot: The Robot whose base is placed; for a robot on a rail (`on_base="rail"`) the rail is placed, along whose x axis it
+            moves. For a Tree, each tip reaches its own poses, one at a time, while the other tips are free.
         poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up; for a Tree a dict of these by tip.
         where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
         yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
         height: Height of the base [m], a number or (lower, upper).
         ordered: Whether the poses are a path. `solve_path` then follows it from the three best places, and of places that reach
             equally many poses, those with fewer reconfigurations come first.
-        count: Number of placements to return; fewer where those examined are too near each other.
+        count: Number of placements to return; fewer if those that were examined are too near each other.
         progress: Called as progress(done) with the number of candidates examined.
         **options: As for `solve_batch`: tolerances, limits, free_turn, seed, ...; the shapes of a CollisionModel given as
             avoid_collisions are those of the scene, in the frame of the poses.

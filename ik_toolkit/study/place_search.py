@@ -123,7 +123,7 @@ class Candidates:
 
     @staticmethod
     def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the `count` best bases with their scores, best first; equal ones stay in their order."""
+        """Return the `count` best bases with their scores, best first; bases with equal scores stay in their order."""
         order = np.argsort(-score, kind="stable")[:count]
         return bases[order], score[order]
 
@@ -144,7 +144,7 @@ class Candidates:
         """Return the share of poses W that is reached from each base (M,).
 
         With obstacles, bases are first examined without them. A base whose share is then too small for the `keep` best of these
-        bases and of others with the shares `than` is not examined again, because obstacles only lower its share.
+        bases and of others with the shares `than` keeps this share and is not examined again, because obstacles can only lower it.
         """
         share, best = np.zeros(len(bases)), np.sort(than)[-keep:]
         once = max(1, 2**13 // sum(map(len, W.values())))

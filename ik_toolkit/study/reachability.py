@@ -192,7 +192,7 @@ class _Study:
             self.q[rows[states == Reach.YES]] = q
 
     def search(self) -> None:
-        """Compute all answers."""
+        """Compute the answers of all cells and orientations."""
         rest = np.flatnonzero(self.states == Reach.UNTRIED)
         if decides(self.plan):
             self.solve(rest, Reach.MANY)
@@ -204,8 +204,8 @@ class _Study:
             self.flood(tried)
             rng = np.random.default_rng(self.plan.options.seed)
             while len(rows := self.open_beside_yes()):
-                # All targets of a call share their random starts. Neighbouring cells are solved in different calls, so they get
-                # different starts, and each then tries the other's answers.
+                # All targets of a call share their random starts. Neighbouring cells are mostly solved in different calls, so they
+                # get different starts; then each tries the other's answers.
                 for k, some in enumerate(np.array_split(rng.permutation(rows), EFFORT.groups), 1):
                     self.solve(np.sort(some), Reach.MANY, restarts=EFFORT.many - 1, seed=self.plan.options.seed + k)
                 self.flood(tried)

@@ -168,7 +168,7 @@ class ReachabilityMap:
 
         Args:
             axis: Normal of the plane, 'x', 'y' or 'z'.
-            at: Coordinate [m] of the plane, by default the middle; the nearest plane of cells is taken.
+            at: Coordinate [m] of the plane, by default the middle; the nearest plane of cells is used.
             what: 'share' of orientations reached, 'manipulability' or 'margin'.
         """
         values = self._values(what).reshape(self.grid.shape)
@@ -244,7 +244,7 @@ class ReachabilityMap:
 
     @classmethod
     def load(cls, path: str | Path) -> "ReachabilityMap":
-        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if the file is no map, OSError."""
+        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if the file is not a map, OSError."""
         path = as_path(path)
         arrays = ("low", "size", "shape", "rotations", "poses", "states", "manipulability", "margin", "q", "audit")
         try:

@@ -79,7 +79,7 @@ class Workspace:
     radius: tuple[float, float]  # least and largest distance of the tip from the base's origin [m]
     cell: float  # width of a cell of the map [m]; the first cell begins at `low`
     tip: str  # the tip whose reach is studied
-    outcomes: dict[str, SolverCounts]  # counts by solver
+    outcomes: dict[str, SolverCounts]  # counts of each solver, by its name
     map: dict[str, np.ndarray]  # targets and solved targets in each cell (2, nx, ny, nz), by solver
     failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
     points: np.ndarray  # (N, 3) positions of the first targets [m], for plots

@@ -113,7 +113,7 @@ def test_straight_where_that_costs_little(panda, accelerate):
         ways = {}
         for most in (None, math.inf, 1e-3):  # None: the default of 1.2
             steps = follow(panda, q0, panda.fk(q1), 4.0, accelerate, **({} if most is None else {"straight": most}))
-            straight = {"going straight" in s.reason for s in steps if s.reason.startswith("the target leapt")}
+            straight = {"going straight" in s.reason for s in steps if s.reason.startswith("the target jumped")}
             ways[most] = off_the_line(panda, q0, steps)
             if True in straight:
                 assert len(straight) == 1
@@ -128,9 +128,9 @@ def test_straight_where_that_costs_little(panda, accelerate):
 def test_what_it_says(panda):
     q0, q1 = next(pairs(panda, 1))
     steps = follow(panda, q0, panda.fk(q1), 2.0, straight=1e-3)
-    leapt = [s for s in steps if s.reason.startswith("the target leapt")]
-    assert len(leapt) > 5 and all(s.status is StepStatus.LIMITED for s in leapt)
-    assert "through the joints, as the straight way takes" in leapt[0].reason
+    jumped = [s for s in steps if s.reason.startswith("the target jumped")]
+    assert len(jumped) > 5 and all(s.status is StepStatus.LIMITED for s in jumped)
+    assert "in joint space, as a straight line would take" in jumped[0].reason
     assert steps[-1].status is StepStatus.OK and steps[-1].reason == ""
     for wrong in (0.0, -1.0, math.nan, "yes", np.array([1.2, 1.2])):
         with pytest.raises(InvalidOption, match="straight"):
@@ -142,7 +142,7 @@ def test_gains_that_somebody_chose_stay(panda):
     q1 = panda.home + 0.1
     steps = follow(panda, panda.home, panda.fk(q1), 1.0, kappa=2.0)
     error = np.array([s.position_error for s in steps])
-    assert not any("leapt" in s.reason for s in steps)
+    assert not any("jumped" in s.reason for s in steps)
     assert error[80] == pytest.approx(error[30] * (1.0 - 2.0 * DT) ** 50, rel=0.02)
 
 
@@ -157,7 +157,7 @@ def test_a_target_that_goes_on_ends_it(panda):
         T[0, 3] -= 0.0005 if 5 < k < 200 else 0.0
         step = tracker.update(T, DT)
         Q.append(step.q)
-        assert not ("leapt" in step.reason and 10 < k < 200)
+        assert not ("jumped" in step.reason and 10 < k < 200)
     assert step.position_error < 1e-4
     speed = np.diff(Q, axis=0) / DT
     assert (np.abs(speed) <= panda.velocity_limits * (1.0 + 1e-9)).all()
@@ -190,7 +190,7 @@ def test_two_arms():
     steps = [
         tracker.update({name: T.homogeneous for name, T in home.items()} if k == 0 else targets, DT) for k in range(400)
     ]
-    assert any("leapt" in s.reason for s in steps) and steps[-1].position_error < 1e-4
+    assert any("jumped" in s.reason for s in steps) and steps[-1].position_error < 1e-4
     seconds, bound = time_back(robot, robot.home, steps, accelerate=True)
     assert seconds <= 1.3 * bound + DT
 

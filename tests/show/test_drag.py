@@ -57,7 +57,7 @@ def test_a_target_that_only_another_posture_reaches_is_reached(name):
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_targets_dragged_one_after_the_other_are_all_reached(seed):
-    """On the way to a target that leapt the error may grow for a while: the arm has not arrived before its joints rest."""
+    """On the way to a target that jumped the error may grow for a while: the arm has not arrived before its joints rest."""
     arm = ik.Robot.load("hydrolek_7w")
     rng, at, hand = np.random.default_rng(seed), arm.home, Hand(arm, arm.home, tolerance=1e-6)
     for _ in range(8):

@@ -18,7 +18,7 @@ It is CERTAIN as well if there are as many solutions as roots that are not compl
 Otherwise it is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple

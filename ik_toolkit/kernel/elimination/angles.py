@@ -3,7 +3,7 @@
 The null vector holds monomials of the tangents of half the joint angles; ratios of its entries give the angles.
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -98,7 +98,7 @@ def split_pair(null):
     Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. A vector y of monomials has parts with hi(y) = x lo(y),
     for x4 (entries three apart) and for x5 (one apart). So the two are the eigenvectors of the 2 x 2 matrix that takes lo to hi by
     least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added, with an arbitrary factor between them.
-    The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is no special case.
+    The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is not a special case.
     """
     P, cs, sn = null.pair, math.cos(0.7), math.sin(0.7)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0

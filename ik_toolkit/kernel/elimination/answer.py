@@ -1,6 +1,6 @@
 """Every solution of each target pose: the orderings of a robot's loop are tried in turn until one answer is certain."""
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -40,8 +40,8 @@ class Work(NamedTuple):
     e: LoopEquations
     r: Roots
     null: Null
-    A: Array  # (6, 9) scratch
-    N: Array  # (9, 9) scratch
+    A: Array  # (6, 9) scratch for `equations.determinant`
+    N: Array  # (9, 9) scratch for `equations.determinant`
     form: Array  # (SIZES.form,) the ordering of the loop that is being solved, see `terms.Form`
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
     mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6
@@ -119,7 +119,7 @@ def use_form(d):
 @inner
 def nudge(d, angle):
     """Write to d.loop.X the target turned by a small angle [rad] and moved by a similar share of the arm's size."""
-    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # an arbitrary unit vector
+    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # the axis of the displacement is an arbitrary unit vector
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
     turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
     put_axes(d.loop.X, 0, turn)

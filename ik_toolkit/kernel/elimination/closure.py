@@ -5,7 +5,7 @@ the tip's pose at q = 0 to the target, is a rotation matrix by rows and a vector
 are measured from its centre.
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from .terms import TRUST
 class Line(NamedTuple):
     """An axis in space."""
 
-    along: V3  # unit vector
+    along: V3  # unit vector along the axis
     point: V3  # any point of the axis
 
 

@@ -10,7 +10,7 @@ that almost fits is decomposed as if it did, and each branch is refined on the a
 number. Where that error could make a branch appear or vanish, the answer is UNSURE, and the elimination is used.
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import itertools
 import math

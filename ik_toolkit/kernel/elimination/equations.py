@@ -15,7 +15,7 @@ The 8 monomials of q1 and q2 on the right are eliminated by a QR factorisation o
 Multiplied by x4 as well, they are 12 equations in the 12 monomials x4^0..3 x5^0..2 (see `determinant`).
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class LoopEquations(NamedTuple):
     target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2
     V: Array  # (8, 14) QR factors of the columns of `target` without the constant one
     scales: Array  # (8,) factors of the reflections of that QR
-    order: Array  # (8,) order of its columns
+    order: Array  # (8,) order of the columns in that QR factorisation
     reduced: Array  # (27, 14) robot - target[0], with the reflections applied
     W: Array  # (3, 6, 9) the 6 equations in 9 monomials: coefficients of 1, cos q3, sin q3
 

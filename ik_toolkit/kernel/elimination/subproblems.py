@@ -8,7 +8,7 @@ Every answer has an error bound, given the error of the input: rounding, or axes
 two angles merge into one, and a point on the axis leaves the angle free.
 """
 
-# Pyright must ignore what numba's type hints lack.
+# Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple

@@ -94,7 +94,7 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     fixed = np.array([[math.radians(45.0), math.radians(90.0)]])
     X = planar.targets(rng, 2 * n, l1, l2)
-    # Starts from which Newton never converges are left out, because they would take all 50 steps.
+    # Targets at which Newton never converges are left out, because they would take all 50 steps.
     X = X[planar.converge(X, l1, l2, fixed, planar.PLAIN)[:, 2] >= 0][:n]
     both, out = np.empty((n, 4)), np.empty((n, 4))
     planar.closed_form_all(X, l1, l2, both)

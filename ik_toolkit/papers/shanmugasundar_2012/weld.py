@@ -135,7 +135,7 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
     """Plan the inspection of a seam with the least travel of the lift (`least_travel`), and certify the motion between its poses.
 
     Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
-    is taken. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out. Its
+    is chosen. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out. Its
     deviation is that from the straight motion between two poses: a girth weld of few poses has its corners cut off.
 
     Args:
@@ -196,7 +196,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
     The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
     neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
     the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Among equal
-    sequences, one that ends in the middle is taken, and the lift rests as long as possible before. Nothing is said about the lift
+    sequences, one that ends in the middle is chosen, and the lift rests as long as possible before. Nothing is said about the lift
     between the poses, nor about motions that change the branch.
     """
     made = {}
@@ -210,7 +210,8 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
         for mask, link in zip(inside[1:], joined, strict=True):
-            base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1, initial=np.inf)  # least cost so far
+            # least cost of the sequences that end at each candidate
+            base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1, initial=np.inf)
             up = np.minimum.accumulate(base - c, axis=1) + c
             down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
             costs.append(np.where(mask, np.minimum(up, down), np.inf))

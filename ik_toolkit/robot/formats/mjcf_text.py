@@ -1,4 +1,4 @@
-"""Makes MJCF text safe before MuJoCo sees it: includes from the model's folders are inlined, other file references are removed."""
+"""Makes MJCF text safe before MuJoCo reads it: includes from the model's folders are inlined, other file references are removed."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -127,7 +127,7 @@ def _check_copies(root: ET.Element) -> None:
     """Raise ModelError if <replicate> would make more elements than any robot has."""
     if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
         raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
-    # MuJoCo would take seconds to compile so many elements, which are refused afterwards anyway.
+    # MuJoCo would take seconds to compile that many elements, which are refused afterwards anyway.
     for tag in ("body", "joint", "geom", "site"):
         if sum(1 for world in root.iter("worldbody") for _ in world.iter(tag)) > MAX_COPIES:
             raise ModelError(f"it has more than {MAX_COPIES:,} elements <{tag}>; it is not read")

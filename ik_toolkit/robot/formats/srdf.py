@@ -1,7 +1,7 @@
 """Reads an SRDF, which has what a URDF leaves out: allowed collisions, groups, end effectors, configurations, passive joints.
 
 It is parsed like a URDF: once, as a stream with size limits, with no entity expanded and nothing fetched. A name that
-the robot does not have is no error, because one SRDF often serves several URDFs; `Srdf.remarks` lists such names.
+the robot does not have is not an error, because one SRDF often serves several URDFs; `Srdf.remarks` lists such names.
 """
 
 import logging
@@ -53,7 +53,7 @@ class Srdf:
     def state(self, name: str, joints: Sequence[str], tips: Sequence[str], model: pin.Model) -> dict[str, float]:
         """Return the values [rad or m] that a configuration gives to those joints that are in the q of a robot with these tips.
 
-        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in
+        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are considered in
         this order: those that end in the robot's tips, those that set more joints of q, those first in the file. A
         group that sets a joint of an earlier one is left out, so that values of contradicting groups are not mixed.
         """
@@ -98,7 +98,7 @@ class Srdf:
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # A chain carries the chains that begin where it ends, so that point is no end of the group.
+        if chains:  # A chain carries the chains that begin where it ends, so that point is not an end of the group.
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:

@@ -282,7 +282,7 @@ def finite_at(attributes: Mapping[str, str] | None, key: str, count: int = 1, de
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     """Return the attributes of an <origin> with its quaternion as rpy.
 
-    They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is no rotation.
+    They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is not a rotation.
     """
     quaternion = finite_at(origin, "quat_xyzw", 4)
     length = math.hypot(*quaternion)

@@ -1,4 +1,4 @@
-"""Checks a URDF before Pinocchio sees it, and finds what `ik check` reports, element by element.
+"""Checks a URDF before Pinocchio reads it, and finds what `ik check` reports, element by element.
 
 Pinocchio's parser accepts zero axes, reversed limits and negative sizes, rejects an invalid tree without naming the
 element, and crashes the process on a very long chain. So every file first goes through our own streaming parse, which

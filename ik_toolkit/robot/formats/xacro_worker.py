@@ -71,7 +71,7 @@ class Expansion:
         self.job, self.xacro = job, xacro
         self.files = Files(job["folders"])
         self.evaluator, self.arguments = Evaluator(), GivenArguments(job["arguments"])
-        self.known: dict[str, str] = {}  # folders of packages
+        self.known: dict[str, str] = {}  # folders of the packages found so far, by name
         self.written = 0
         # body of each macro and the cost of a copy in steps, by the body's id
         self.bodies: dict[int, tuple[Any, int]] = {}

@@ -30,7 +30,7 @@ class CollisionModel(Surroundings):
 
     Never tested are links joined by one joint, links that cannot move relative to each other, pairs that the robot's
     SRDF allows to touch, and pairs that touch both at home and at zero (if zero is within the limits), which are listed
-    in `excluded`. Shapes may be added, moved and removed between calls; what uses the model sees them from its next
+    in `excluded`. Shapes may be added, moved and removed between calls; code that uses the model respects them from its next
     call on, and a tracker from its next step.
 
     Args:
@@ -213,7 +213,7 @@ class CollisionModel(Surroundings):
 
     @property
     def geometry(self) -> pin.GeometryModel:
-        """All shapes and the tested pairs as Pinocchio sees them; made anew when a shape is added or removed."""
+        """All shapes and the tested pairs as Pinocchio represents them; made again when a shape is added or removed."""
         return self._state[0]
 
     @property
@@ -318,7 +318,7 @@ class CollisionModel(Surroundings):
         return {"asked": asked, "placed": placed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make the model anew from the stored arguments."""
+        """Make the model again from the stored arguments."""
         asked = dict(state["asked"])
         self.__init__(asked.pop("robot"), **asked)
         self._placed = {name: replace(one, form=one.shape.form()) for name, one in state["placed"].items()}

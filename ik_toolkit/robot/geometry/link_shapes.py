@@ -163,7 +163,7 @@ def problems_sentence(problems: Problems) -> str:
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
     """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
     geometry = pin.GeometryModel()
-    # If several frames have the same name, the link is taken.
+    # If several frames have the same name, the link is used.
     order = sorted(enumerate(model.frames), key=lambda one: one[1].type == pin.FrameType.BODY)
     frames: dict[str, int] = {frame.name: i for i, frame in order}
     for shape, form in zip(shapes, forms, strict=True):

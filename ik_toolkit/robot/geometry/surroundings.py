@@ -105,7 +105,7 @@ class Surroundings(ReadOnly):
 
         Raises:
             InvalidOption: `shape` is no Shape, or the name is taken.
-            InvalidTarget: `pose` is no pose or position.
+            InvalidTarget: `pose` is neither a pose nor a position.
         """
         form, T = is_shape(shape).form(), as_matrix(pose)
         self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
@@ -115,7 +115,7 @@ class Surroundings(ReadOnly):
     def move(self, name: str, pose: Any) -> Self:
         """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
 
-        Raises InvalidOption if there is no such shape, InvalidTarget if `pose` is no pose or position.
+        Raises InvalidOption if there is no such shape, InvalidTarget if `pose` is neither a pose nor a position.
         """
         one = self._placed[self._known(name)]
         self._placed[name] = replace(one, T=as_matrix(pose))
@@ -157,7 +157,7 @@ class Surroundings(ReadOnly):
 
         Raises:
             InvalidOption: A name is unknown or taken, or neither q nor T_tip_shape is given for an obstacle.
-            InvalidTarget: T_tip_shape is no pose.
+            InvalidTarget: T_tip_shape is not a pose.
             FrameNotFound: There is no such tip.
         """
         arm = self._arm(tip)

@@ -81,8 +81,8 @@ class BatchResult(ReadOnly):
         status, success: Numbers of Status (N,), and whether they are CONVERGED (N,).
         proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that no
             solution is nearer; see `Result.proven`).
-        position_error: Distance (N,) [m] from the target; of several tips the largest.
-        orientation_error: Rotation angle (N,) [rad] left; of several tips the largest. None if orientation is free.
+        position_error: Distance (N,) [m] from the target; for several tips the largest.
+        orientation_error: Rotation angle (N,) [rad] left; for several tips the largest. None if orientation is free.
         position_errors, orientation_errors: The errors of each tip, by its name.
         iterations, restarts, fk_evaluations: Counts (N,).
         table: The result rows (N, width) of the compiled search, see `kernel.records.Answer`.
@@ -161,7 +161,7 @@ class BatchResult(ReadOnly):
         return count_statuses(self.table[:, AT.status])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
+        """Return arrays by name, for np.savez and tables; for several tips also TIP.position_error and TIP.orientation_error."""
         names = ("q", "status", "success", "proven", "position_error", "orientation_error", "iterations", "restarts")
         arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations")}
         if len(self.kinds) > 1:

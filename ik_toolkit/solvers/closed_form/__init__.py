@@ -17,7 +17,7 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     if "closed forms" not in robot.memo:
         robot.memo["closed forms"] = (
             _recognise(robot.chain) if len(robot.tips) == 1 else {}
-        )  # Closed forms are for one tip.
+        )  # closed forms are for one tip only
     return robot.memo["closed forms"].get(kind)
 
 

@@ -100,7 +100,7 @@ def recognise(chain: Chain) -> Fit:
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= NEAR * chain.reach:
         return no_fit("two of its parallel revolute axes coincide")
-    # The D-H x axes at q = 0 give the offset of every angle; axes 5 and 7 are taken to point along axes 4 and 6.
+    # The D-H x axes at q = 0 give the offset of every angle; axes 5 and 7 are assumed to point along axes 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
     x5 = np.cross(z6, z4)
@@ -183,9 +183,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(
-                found + 1
-            ):  # k = 0 refines the best branch so far; then all branches at the same lift are refined
+            for k in range(found + 1):  # k = 0 refines the best branch so far, then all at the same lift are refined
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:

@@ -265,7 +265,7 @@ def meet_limits(p, box, up, row):
     """Set theta_1 and theta_4, with axes 1 and 4 parallel and the angles `row` (6,), to the pair in limits nearest the reference.
 
     The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds them least
-    is taken.
+    is chosen.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -287,8 +287,8 @@ def meet_limits(p, box, up, row):
 def pick_level(p, P, d, free, box, near, row, q, best):
     """Fill best (n,) with the configuration of least excess over limits that has axes 1 and 4 parallel.
 
-    Of several, the one nearest to the reference is taken. Returns its excess, or infinity if no such configuration reaches the pose
-    P. If `free`, each configuration takes the lift that it needs, otherwise lift d.
+    Of several, the one nearest to the reference is chosen. Returns its excess, or infinity if no such configuration reaches the
+    pose P. If `free`, each configuration takes the lift that it needs, otherwise lift d.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

@@ -1,4 +1,4 @@
-"""Solves with a closed form that only lists branches: of those that meet the tolerances, the one nearest the start is taken."""
+"""Solves with a closed form that only lists branches: of those that meet the tolerances, the one nearest the start is chosen."""
 
 from collections.abc import Callable
 from typing import Any

@@ -387,7 +387,7 @@ def nearest_lift(P, a4, a6, low, high):
         if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
             best = d
     a, b = max(best - step, low), min(best + step, high)
-    for _ in range(60):  # golden section search
+    for _ in range(60):  # golden section search for the lift
         u, v = b - 0.6180339887498949 * (b - a), a + 0.6180339887498949 * (b - a)
         if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
             a = u

@@ -21,7 +21,7 @@ class WorkedStep(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The name of the symbol."""
+        """The name of the symbol that the step defines."""
         return str(self.symbol)
 
     def to_dict(self) -> dict[str, Any]:

@@ -17,7 +17,7 @@ FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inver
 
 
 def negative(name: str, value: Any) -> str:
-    """Return why a rule refuses a negative parameter, or ''; a value that is no number is refused elsewhere."""
+    """Return why a rule refuses a negative parameter, or ''; a value that is not a number is refused elsewhere."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -165,7 +165,10 @@ class Inverse(NamedTuple):
         return self.shorten(p, e) if self.trials > 0.0 else 0
 
     def shorten(self, p, e):
-        """Halve the step s.dq until e.ee falls where it leads inside the limits; without such a step s.dq becomes 0."""
+        """Halve the step s.dq until it lowers the squared error e.ee inside the limits.
+
+        If no such step is found, s.dq becomes 0.
+        """
         s = p.desk
         for i in range(s.q.shape[0]):
             s.x[i] = s.q[i]

@@ -91,7 +91,7 @@ class PID(NamedTuple):
             length scale.
         orientation_scale: Factor [m/rad] by which the orientation error is multiplied before it enters the norm
             (default: a fifth of the length scale).
-        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken.
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is used.
         units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees).
         tuned: Options of the search that come with a preset.
     """

@@ -103,6 +103,6 @@ class SQP(NamedTuple):
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
         if counted <= robot.n:
             plain = QUADRATIC.at_once
-        else:  # `asked.rows` takes Jacobians and their singular values, so it is asked for here only.
+        else:  # `asked.rows` computes Jacobians and singular values, which takes time, so it is used only here.
             plain = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)

@@ -127,7 +127,7 @@ class StateSpace(NamedTuple):
         B: Input matrix (m, 3) for positions or (m, 6) for poses, or one for each of M starts, (M, m, 3 or 6).
         C: Output matrix (n, m).
         D: Feedthrough (n, 3 or 6), or one for each start; the published solver has none.
-        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is used, and
             its B and D are used; restarts take the next nearest.
         units: "si", or "mm-deg" for the paper's (e in mm, increments in degrees; starts stay in rad).
         axes: Rotation (3, 3) from base axes to the axes in which B and D are meant.

@@ -33,7 +33,7 @@ def turned(rng, tips, angle):
 
 def unknown(tips):
     """Nothing is known of where a target stands."""
-    return np.concatenate([np.eye(len(STAND))[STAND.leapt], np.zeros(16 * tips)])
+    return np.concatenate([np.eye(len(STAND))[STAND.jumped], np.zeros(16 * tips)])
 
 
 def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1, stand=None):
@@ -109,24 +109,24 @@ def standing(way, dt=0.01):
 
 def test_whether_a_target_stands():
     first, *_, last = standing([0.3] * 20)
-    assert first["leapt"] and first["still"] and first["seconds"] == 0.0, (
-        "before its first motion it counts as having leapt"
+    assert first["jumped"] and first["still"] and first["seconds"] == 0.0, (
+        "before its first motion it counts as having jumped"
     )
-    assert last["leapt"] and last["seconds"] == pytest.approx(0.19)
+    assert last["jumped"] and last["seconds"] == pytest.approx(0.19)
     *_, there, after = standing([0.0, 1.5 * ARRIVAL.jump, 1.5 * ARRIVAL.jump])
-    assert there["leapt"] and not there["still"] and after["leapt"] and after["still"]
+    assert there["jumped"] and not there["still"] and after["jumped"] and after["still"]
     steps = np.arange(40) * STILL * 0.01 / WAIT
     assert last["rest"] == pytest.approx(0.2) and after["rest"] == pytest.approx(0.01) and there["rest"] == 0.0
     slow, fast = (standing(pace * steps)[-1] for pace in (0.9, 1.5))
-    assert slow["still"] and slow["leapt"] and slow["seconds"] < WAIT, "it creeps"
+    assert slow["still"] and slow["jumped"] and slow["seconds"] < WAIT, "it creeps"
     turning = standing(1e-3 * np.cos(np.linspace(-1.0, 1.0, 41)))  # from one way to the other, within 0.5 mm
     assert turning[-1]["still"] and turning[-1]["seconds"] > WAIT > max(one["rest"] for one in turning), "it turns back"
-    assert not fast["still"] and not fast["leapt"] and fast["seconds"] < WAIT
+    assert not fast["still"] and not fast["jumped"] and fast["seconds"] < WAIT
     trembling = standing(np.concatenate([2.0 * steps, 2.0 * steps[-1] + 0.1 * STILL * (-1.0) ** np.arange(30)]))
     assert (
         not trembling[45]["still"]
         and trembling[-1]["still"]
-        and not trembling[-1]["leapt"]
+        and not trembling[-1]["jumped"]
         and trembling[-1]["rest"] == 0.0
     )
 

@@ -28,12 +28,12 @@ def test_rotations_are_mirrored():
     null_space_motion.reflect(flip, got)
     np.testing.assert_allclose(got, [*y[:9], *mirror(n) @ y[9:]], atol=1e-15)
     e = y.copy()
-    null_space_motion.lay_aside(flip, K, e)
+    null_space_motion.mirror_free_rows(flip, K, e)
     np.testing.assert_allclose(e, [*got[:11], 0.0], atol=1e-15)
     np.testing.assert_allclose(K, np.column_stack([J[:, :9], (J[:, 9:] @ mirror(n))[:, :2], np.zeros(4)]), atol=1e-15)
     for axis in np.eye(3):  # any one place says that a turn is free
         e, K = np.ones(6), np.ones((1, 6))
-        null_space_motion.lay_aside(axis[None], K, e)
+        null_space_motion.mirror_free_rows(axis[None], K, e)
         assert e[5] == K[0, 5] == 0.0 and not np.any(e[:5] == 0.0)
 
 
@@ -118,13 +118,13 @@ def test_wishes_keep_half_of_the_room():
     for g, scale in (([0.4, -0.4, 0.2], 1.0), ([2.0, 0.0, 0.0], 0.25), ([0.0, -1.0, 0.0], 0.5), ([0.0, 0.1, 0.5], 0.5),
                      ([0.0, 0.0, -3.0], 0.25)):  # fmt: skip
         out = np.array(g)
-        null_space_motion.clip_wish(out, x, low, top)
+        null_space_motion.scale_secondary(out, x, low, top)
         np.testing.assert_allclose(out, scale * np.array(g), rtol=1e-14)
     out = np.array([0.1, 0.0, 0.0])
-    null_space_motion.clip_wish(out, np.array([1.5, 0.0, 0.0]), low, top)
+    null_space_motion.scale_secondary(out, np.array([1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
     out = np.array([-0.1, 0.0, 0.0])
-    null_space_motion.clip_wish(out, np.array([-1.5, 0.0, 0.0]), low, top)
+    null_space_motion.scale_secondary(out, np.array([-1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
 
 

@@ -198,7 +198,7 @@ def test_what_was_held_back_becomes_the_earlier_command():
     wanted, h, ratio = np.array([1.0, 2.0, 3.0]), 0.1, 0.8
     for kind in (LAW.cv, LAW.av, LAW.ca, LAW.aa):
         prev = np.full(3, 7.0)
-        laws.own_up(law(kind), h, ratio, wanted, x, prev)
+        laws.rewrite_command(law(kind), h, ratio, wanted, x, prev)
         change = (
             (x - wanted) / {LAW.cv: 1.0, LAW.ca: h}.get(kind, np.inf) / 1.4
         )  # the rates taken are u + ratio/2 (u - old)

@@ -265,7 +265,7 @@ def xorshift(x):
 def test_random_numbers_are_those_of_xorshift64star():
     state = np.empty(1, np.uint64)
     for seed in (0, 1, 12345, 2**63):
-        starts.sow(state, seed)
+        starts.seed_sequence(state, seed)
         x = 88172645463325252 ^ ((seed * 0x9E3779B97F4A7C15) % 2**64)
         assert int(state[0]) == x
         for _ in range(20):

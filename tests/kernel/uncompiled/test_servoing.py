@@ -54,13 +54,13 @@ def test_the_rate_at_the_start():
     for at in (0.0, 0.995):
         q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
         state[STATE.start] = START.with_target
-        loop.set_out(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
+        loop.initial_rates(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
         gaps = [max(viability.way_to(np.copysign(1.0, v), at, np.copysign(1.0, v)), 0.0) for v in own]
         top = np.array([min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps])
         np.testing.assert_allclose(rate, np.clip(own, -top, top), rtol=1e-9)
         assert state[STATE.start] == START.ready
     state[STATE.start] = START.given
-    loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
+    loop.initial_rates(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
     np.testing.assert_array_equal(rate, own)
     assert state[STATE.start] == START.ready
 
@@ -76,7 +76,7 @@ def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does()
 def test_half_planes_are_gathered_and_rates_clipped():
     lines, level = np.arange(12.0).reshape(4, 3), np.arange(4.0)
     planes, edges = np.zeros((6, 3)), np.zeros(6)
-    assert loop.gather(law(rows=2.0), lines, level, planes, edges) == 2
+    assert loop.copy_planes(law(rows=2.0), lines, level, planes, edges) == 2
     np.testing.assert_array_equal(planes, [*lines[:2], *np.zeros((4, 3))])
     np.testing.assert_array_equal(edges, [0, 1, 0, 0, 0, 0])
     for still in (False, True):
@@ -106,7 +106,7 @@ def test_wishes_are_found_and_added():
 
             away_from_limits(s.at, limits, avoid, goal)
         base = 0.1 * rng.normal(size=n)
-        assert command.find_wishes(law(avoid=avoid), s, limits, wish, base)
+        assert command.desired_null_velocity(law(avoid=avoid), s, limits, wish, base)
         want = null(s.J) @ goal
         room = np.where(want > 0, 0.5 * (1.0 - base), 0.5 * (base + 1.0))
         want *= min(1.0, (room / np.abs(want)).min())
@@ -121,7 +121,7 @@ def test_wishes_are_found_and_added():
             (LAW.aa, 0.01, 40.0),
         ):
             s.x[:], memory = base, np.full(n, 7.0)
-            command.add_wishes(
+            command.add_secondary_motion(
                 law(code, avoid=avoid, null=damped), s, SimpleNamespace(limits=limits, wish=wish), 0.6, h, memory
             )
             # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more,
@@ -132,15 +132,15 @@ def test_wishes_are_found_and_added():
             kept = {LAW.cv: 1.0, LAW.ca: 1.0 / h}.get(code, 0.0)
             np.testing.assert_allclose(s.x, base + (1.3 if code in (LAW.cv, LAW.ca) else 1.0) * more, atol=1e-12)
             np.testing.assert_allclose(memory, 7.0 + kept * more, atol=1e-12)
-    assert not command.find_wishes(law(mode=CLIP), s, limits, wish, base)
-    assert not command.find_wishes(law(), s, limits, 0.0 * wish, base)
+    assert not command.desired_null_velocity(law(mode=CLIP), s, limits, wish, base)
+    assert not command.desired_null_velocity(law(), s, limits, 0.0 * wish, base)
     old = s.at.copy()
-    assert command.lean_over(law(), None, s, limits, wish, base, 0.1)
+    assert command.shift_by_secondary(law(), None, s, limits, wish, base, 0.1)
     np.testing.assert_allclose(s.at, old + 0.1 * s.g)
-    assert s.g.any() and not command.lean_over(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
+    assert s.g.any() and not command.shift_by_secondary(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
     s.g[:] = 1.0
-    assert not command.lean_over(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
-    assert not command.lean_not(None, None, None, None, None, None, None)
+    assert not command.shift_by_secondary(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
+    assert not command.skip_shift(None, None, None, None, None, None, None)
 
 
 class Bent:
@@ -233,9 +233,11 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
         s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
         s.before, s.x, state[STATE.near] = np.ones(7), np.ones(7), near
         for _ in range(1 if hindered else 21):  # for 0.2 s after the last hindrance
-            loop.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
+            loop.record_oscillation(
+                law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state
+            )
         swings[0, 0] = 3.0
-        loop.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
+        loop.limit_oscillation(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
         gain = viability.CALMING.gain * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
         assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
         assert (swings[2] == 1.0).all()

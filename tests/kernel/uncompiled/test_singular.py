@@ -139,7 +139,7 @@ def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
     for away in (np.zeros(7), 0.9 * bent + 2.0 * Q[:, 0], -0.9 * bent):  # what is known counts, if anything is
         V[1] = Q[:, 1]
         x, slope = np.empty(7), np.empty(7)
-        singular_step.begin_bent(W, V[1], sigma, 1, away, x)
+        singular_step.begin_curved(W, V[1], sigma, 1, away, x)
         np.testing.assert_allclose(x, np.sign(away @ bent) * bent if away.any() else Q[:, 1], atol=1e-12)
         slope[:] = 0.2 * (x @ bent) * bent + 0.4 * Q[:, 0] - 0.1 * Q[:, 2]  # what other modes move is not free
         thin = singular_step.bent_direction(W, V[1], sigma, 1, slope)
