@@ -253,7 +253,10 @@ def find(source: str | Path) -> RobotEntry:
     Raises RobotNotFound with a near match and the existing names, MissingExtra.
     """
     if not isinstance(source, str | Path):
-        raise RobotNotFound(f"a robot must be a name, a path or URDF text, not {type(source).__name__}")
+        given = type(source).__name__
+        raise RobotNotFound(
+            f"a robot must be a name, a path or URDF text, not {given}; ik.Robot(model) takes a pin.Model"
+        )
     if is_text(source):
         return RobotEntry(name="URDF text", source=source)
     if isinstance(source, str):

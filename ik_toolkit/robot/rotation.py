@@ -29,9 +29,10 @@ def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
 
 def finite_numbers(value: Any, size: int, name: str) -> np.ndarray:
     """Return `value` as an array (size,) of finite numbers. Raises InvalidTarget, which names the argument `name`."""
-    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
+    wanted = f"{name} must be {size} numbers" if size > 1 else f"{name} must be a number"
+    array = floats(value, wanted, InvalidTarget)
     if array.shape != (size,):
-        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
+        raise InvalidTarget(f"{wanted}, not an array of shape {array.shape}")
     if not np.isfinite(array).all():
         raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
     return array

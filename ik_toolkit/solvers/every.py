@@ -11,6 +11,7 @@ from ..kernel.counted_error import AXIS, POSITION
 from ..kernel.kinematics import TAU
 from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
+from ..validate import switch
 from .closed_form.elimination import certificate_of, into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
 from .closed_form.polish import BORDER, list_branches
@@ -56,7 +57,7 @@ class CertainLists(NamedTuple):
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
-    starts, count = whole(starts, "starts"), whole(count, "count")
+    starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
     places = int(solver.robot.by_tip)  # number of leading axes of a single target of a Tree
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()

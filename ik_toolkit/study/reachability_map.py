@@ -244,7 +244,7 @@ class ReachabilityMap:
 
     @classmethod
     def load(cls, path: str | Path) -> "ReachabilityMap":
-        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if the file is not a map, OSError."""
+        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if the file is missing or no map."""
         path = as_path(path)
         arrays = ("low", "size", "shape", "rotations", "poses", "states", "manipulability", "margin", "q", "audit")
         try:
@@ -277,8 +277,8 @@ class ReachabilityMap:
                 or not all(np.isfinite(one).all() for one in (a["manipulability"], a["margin"], a["q"][yes]))
             ):
                 raise ValueError
-        except OSError:
-            raise
+        except OSError as error:
+            raise InvalidOption(f"cannot read the map '{path.name}': {error.strerror or error}") from None
         except InvalidOption:
             raise
         except Exception:

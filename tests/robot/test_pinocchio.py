@@ -85,6 +85,8 @@ def test_what_is_no_model_is_refused():
     model = load("planar_2r").model
     with pytest.raises(ModelError, match=r"a pin.Model is expected, not GeometryModel; Robot.load reads names"):
         ik.Robot(pin.GeometryModel())
+    with pytest.raises(RobotNotFound, match=r"not Model; ik\.Robot\(model\) takes a pin\.Model"):
+        ik.Robot.load(model)
     with pytest.raises(ModelError, match=r"collision_model must be a pin.GeometryModel, not Model"):
         ik.Robot(model, model)
     with pytest.raises(ModelError, match=r"was made from a Pinocchio model alone.*collision_model="):

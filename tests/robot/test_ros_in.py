@@ -258,3 +258,5 @@ def test_approach_backs_off_along_the_axis(arm):
     for wrong in (((1.0, 0.0, 0.0), 0.1), (M, np.nan), (M, 0.1, (0, 0, 0))):
         with pytest.raises(InvalidTarget):
             ik.approach(*wrong)
+    with pytest.raises(InvalidTarget, match="distance must be a number, not"):
+        ik.approach(M, "far")

@@ -98,6 +98,18 @@ def test_lists_of_poses_and_no_targets_at_all():
         assert len(none) == 0 and none.q.shape == (0, robot.n) and none.counts() == {}
 
 
+def test_results_are_taken_by_number_or_slice():
+    robot = load("hydrolek_7w")
+    many = ik.solve_batch(robot, sample(robot, 5)[1])
+    assert [one.q.tobytes() for one in many[1:4]] == [many[k].q.tobytes() for k in (1, 2, 3)]
+    assert many[-1].q.tobytes() == many[np.int64(4)].q.tobytes() == list(many)[4].q.tobytes() and many[5:] == []
+    for wrong in ("a", 1.5, None, [0, 1]):
+        with pytest.raises(InvalidOption, match="by a number or a slice"):
+            many[wrong]
+    with pytest.raises(IndexError):
+        many[5]
+
+
 def test_mistakes_are_named_with_their_row():
     robot = load("hydrolek_7w")
     T = poses(robot, 3000)
@@ -130,6 +142,12 @@ def test_mistakes_are_named_with_their_row():
 )
 def test_what_is_not_an_array_of_targets_is_refused(targets):
     with pytest.raises(InvalidTarget, match="targets must be"):
+        ik.solve_batch(load("hydrolek_7w"), targets)
+
+
+@pytest.mark.parametrize(("targets", "said"), [("poses.csv", "not 'poses.csv'"), ([{1}], "not {1}")])
+def test_what_was_given_for_targets_is_shown(targets, said):
+    with pytest.raises(InvalidTarget, match=said):
         ik.solve_batch(load("hydrolek_7w"), targets)
 
 

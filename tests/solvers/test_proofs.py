@@ -87,6 +87,8 @@ def test_all_turns_are_listed_within_limits():
     assert len(few) == 1 and not few.complete and few.distance[0] == every.distance[0]
     with pytest.raises(InvalidOption, match="full turns inside the limits"):
         ik.solve_all(robot, T, all_turns=True, limits=False)
+    with pytest.raises(InvalidOption, match="all_turns is True or False, not 'no'"):
+        ik.solve_all(robot, T, all_turns="no")
 
 
 @pytest.mark.parametrize(("end", "all_turns"), [(0.0, False), (2.0 * np.pi, True)])

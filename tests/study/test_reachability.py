@@ -168,6 +168,8 @@ def test_a_file_reads_back_and_a_damaged_one_says_so(dense, tmp_path):
     _, found = dense
     file = found.save(tmp_path / "map.npz")
     again = ik.ReachabilityMap.load(file)
+    with pytest.raises(InvalidOption, match=r"cannot read the map 'gone\.npz': No such file"):
+        ik.ReachabilityMap.load(tmp_path / "gone.npz")
     assert repr(again) == repr(found) and again.audit == found.audit
     for name in ("states", "manipulability", "margin", "q"):
         assert np.array_equal(getattr(again, name), getattr(found, name), equal_nan=True)

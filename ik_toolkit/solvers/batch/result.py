@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...copying import ReadOnly
-from ...errors import IKError, Portable
+from ...errors import IKError, InvalidOption, Portable
 from ...kernel.records import ANSWER, AT, MISS
 from ...text import TextTable, length
 from ..collision_free import collision_model
@@ -110,9 +110,13 @@ class BatchResult(ReadOnly):
         """Return the number of targets."""
         return len(self.table)
 
-    def __getitem__(self, k: int) -> Result:
-        """Return the Result of target k."""
-        row = self.table[k]
+    def __getitem__(self, k: int | slice) -> Any:
+        """Return the Result of target k (negative: counted from the end), or a list of them for a slice. Raises InvalidOption."""
+        if isinstance(k, slice):
+            return [self[one] for one in range(len(self))[k]]
+        if not isinstance(k, int | np.integer):
+            raise InvalidOption(f"the Results of a batch are taken by a number or a slice, not by {k!r:.60}")
+        row = self.table[int(k)]
         touching = None
         if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)

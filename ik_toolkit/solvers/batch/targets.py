@@ -109,6 +109,8 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 def known(targets: Any, base: str = "") -> Any:
     """Return targets, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator."""
+    if isinstance(targets, str | bytes):
+        raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
@@ -157,7 +159,8 @@ def _numbers(targets: Any) -> np.ndarray:
     except (TypeError, ValueError):
         raise InvalidTarget(f"targets must be {STACKED}, not {type(targets).__name__}") from None
     if array.dtype.kind not in "fiu":
-        raise InvalidTarget(f"targets must be numbers, not {array.dtype} of shape {array.shape}")
+        given = f"{array.dtype} of shape {array.shape}" if array.ndim else f"{targets!r:.60}"
+        raise InvalidTarget(f"targets must be numbers, not {given}")
     return array
 
 
