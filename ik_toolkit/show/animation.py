@@ -1,6 +1,5 @@
 """Drawing of results in a scene: solves, runs, paths and trajectories, along which the robot moves, and their obstacles."""
 
-import base64
 import copy
 import csv
 import io
@@ -190,7 +189,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
             scene.add(placed.shape, placed.T, f"{name}/{one}")
         elif numbered("tip", placed.arm) in scene.window.transforms:
             path = f"{numbered('tip', placed.arm)}/{one}"
-            scene.window.shape(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
+            scene.window.draw(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
             scene.window.place(path, placed.T)
 
 
@@ -292,11 +291,10 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         return file
     if made is None:
         raise InvalidOption("there is no animation to record: see animate, or show a result with history or a run")
-    poses = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4").reshape(made["count"], -1, 3, 4)
     rows = thin_rows(made["count"], most)
     frames, seen = [], copy.copy(window)
     for row in rows.tolist():
-        there = zip(made["paths"], poses[row], strict=True)
+        there = zip(made["paths"], made["data"][row], strict=True)
         moved = {path.removeprefix(ROOT): np.vstack([T, LAST]) for path, T in there}
         seen.transforms = window.transforms | moved
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +18,8 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 from ..style import GREY, MUTED
 from .body import DrawnShape
-from .feed import ROOT
 from .live_page import normals
-from .meshcat_server import SHADE, Window
+from .meshcat_server import Cloud, Window
 from .scene_state import css
 
 
@@ -84,10 +84,11 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
         for k in np.flatnonzero((seen > 0).all(axis=1) & (seen[:, :2] < (W, H)).all(axis=1)):
             yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # pixels per metre
 
-    for path, (points, colors, big) in clouds_of(window).items():
-        T, words = window.pose(path), [css(color) for color in colors]
-        for k, x, y, scale in inside(points @ T[:3, :3].T + T[:3, 3]):
-            pencil.ball(x, y, 0.5 * big * scale, words[k])
+    for path, cloud in window.objects.items():
+        if isinstance(cloud, Cloud):
+            T, words = window.pose(path), [css(color) for color in cloud.colors]
+            for k, x, y, scale in inside(cloud.points @ T[:3, :3].T + T[:3, 3]):
+                pencil.ball(x, y, 0.5 * cloud.size * scale, words[k])
     for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
         for _, x, y, scale in () if grip["turns"] else inside(window.pose(grip["name"])[None, :3, 3]):
             pencil.ball(x, y, grip["size"] * scale, css(grip["color"]))
@@ -105,47 +106,12 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
 
 
 def shapes_of(window: Window) -> dict[str, DrawnShape]:
-    """Return the triangles drawn in a Window, by path, including copies, with their original colours."""
-    import umsgpack  # comes with meshcat
-
-    found = {}
-    for path, (data, material, _) in _read(window.objects):
-        if "index" in data:
-            vertices, faces = _array(data["attributes"]["position"], "<f4"), _array(data["index"], "<u4")
-            found[path] = DrawnShape(vertices, faces, _color(material["color"], SHADE), material["opacity"])
-    for path, packed in window.copies.items():
-        told = umsgpack.unpackb(packed)
-        source = found.get(told["source"].removeprefix(ROOT))
-        if source is not None:
-            found[path] = DrawnShape(source.vertices, source.faces, _color(told["color"]), told["opacity"])
+    """Return the triangles drawn in a Window, by path, including copies."""
+    found = {path: drawn for path, drawn in window.objects.items() if isinstance(drawn, DrawnShape)}
+    for path, (source, color, opacity) in window.copies.items():
+        if source in found:
+            found[path] = replace(found[source], color=color, opacity=opacity)
     return found
-
-
-def clouds_of(window: Window) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
-    """Return the clouds of a Window by path: points (N, 3) [m], colours (N, 3) and size [m]."""
-    found = {}
-    for path, (data, material, kind) in _read(window.objects):
-        if kind == "Points":
-            points, colors = (_array(data["attributes"][key], "<f4") for key in ("position", "color"))
-            found[path] = points, colors, material["size"]
-    return found
-
-
-def _read(objects: dict[str, bytes]) -> Iterator[tuple[str, tuple[Any, Any, str]]]:
-    import umsgpack
-
-    for path, packed in objects.items():
-        told = umsgpack.unpackb(packed)["object"]
-        yield path, (told["geometries"][0]["data"], told["materials"][0], told["object"]["type"])
-
-
-def _array(told: Any, kind: str) -> np.ndarray:
-    return np.frombuffer(told["array"].data, dtype=kind).reshape(-1, 3)
-
-
-def _color(number: int, shade: float = 1.0) -> tuple[float, float, float]:
-    r, g, b = (min(1.0, (number >> shift & 255) / 255 / shade) for shift in (16, 8, 0))
-    return r, g, b
 
 
 class _Camera:

@@ -9,6 +9,7 @@ from ..errors import InvalidOption
 from ..study.place import Placements
 from ..study.reachability_map import Reach, ReachabilityMap
 from ..style import COLOURS, GREY, PALE
+from .meshcat_server import Cloud
 from .plots import drawing, literal_text, two_views
 from .scene_state import css
 
@@ -108,7 +109,7 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     used = np.unique(plane[yes])
     for k in used:
         some = yes & (plane == k)
-        scene.window.points(f"cells/{k}", points[some], colours[some], big)
+        scene.window.draw(f"cells/{k}", Cloud(points[some], colours[some], big))
         scene._boxes[f"cells/{k}"] = np.array([points[some].min(axis=0), points[some].max(axis=0)])
         scene._shown.add(f"cells/{k}")
     what = "share of orientations reached" if found.grid.turns > 1 else "manipulability"

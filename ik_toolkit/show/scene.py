@@ -17,7 +17,7 @@ from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, mapped, primitive, revolved, standing, tube
 from .feed import Guest
-from .meshcat_server import Window, write_page
+from .meshcat_server import Cloud, Window, write_page
 from .notebook import InCell, PageInCell
 from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
 
@@ -166,7 +166,7 @@ class Scene(InCell, SceneState):
             T = as_matrix(np.zeros(3) if at is None else at)
             drawn = drawn_shape(what, color or OBSTACLE, 0.75 if opacity is None else opacity)
             self._clear(name)
-            self.window.shape(name, drawn)
+            self.window.draw(name, drawn)
             self.window.place(name, self.body.T_world_base @ T)
             self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
         if label:
@@ -182,7 +182,7 @@ class Scene(InCell, SceneState):
             self._clear(name)
             self._marks[name] = mark
             for k, shape in enumerate(_axes(T_base.axis if free else None, target.ndim == 1, size)):
-                self.window.shape(f"{name}/{k}", shape)
+                self.window.draw(f"{name}/{k}", shape)
         self.window.place(name, T)
         if not self._see(name, T[None, :3, 3]):
             label = label and f"{label} (outside the picture)"
@@ -212,7 +212,7 @@ class Scene(InCell, SceneState):
         P, color, label = self._world(points), read_color(color) or ORANGE, read_text(label, "label")
         wide = 0.005 * self._extent() if radius is None else positive(radius, "radius")
         self._clear(name)
-        self.window.shape(name, tube(P, wide, color))
+        self.window.draw(name, tube(P, wide, color))
         self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if label:
             self._say(name, (css(color), label))
@@ -222,7 +222,7 @@ class Scene(InCell, SceneState):
         P, good = self._cloud(points, success)
         size = 0.012 * self._extent() if size is None else positive(size, "size")
         self._clear(name)
-        self.window.points(name, P, np.where(good[:, None], BLUE, ORANGE), size)
+        self.window.draw(name, Cloud(P, np.where(good[:, None], BLUE, ORANGE), size))
         self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if success is not None:
             reached = css(BLUE), f"reached: {good.sum()} of {len(good)}"

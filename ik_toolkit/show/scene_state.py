@@ -13,7 +13,7 @@ from ..errors import InvalidOption, floats, near_match
 from ..robot.joints import Joints
 from ..validate import number
 from .body import Body, grid_cell
-from .meshcat_server import Window
+from .meshcat_server import Copy, Window
 
 FAR = 3.0  # [scene sizes] The camera does not move back for objects that are farther away or larger than this.
 
@@ -175,11 +175,10 @@ class SceneState(Unique):
                     if drawn[p]:
                         self.window.delete(path)
                     elif color is not None and name not in self._bodies and source in self.window.objects:
-                        self.window.copy(path, source, color, opacity)
+                        self.window.draw(path, Copy(source, color, opacity))
                     else:
-                        self.window.shape(
-                            path, replace(shape, color=color or shape.color, opacity=opacity * shape.opacity)
-                        )
+                        look = {"color": color or shape.color, "opacity": opacity * shape.opacity}
+                        self.window.draw(path, replace(shape, **look))
             self._parts[name] = wanted
 
     def _stop(self) -> None:

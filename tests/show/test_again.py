@@ -133,13 +133,11 @@ def test_a_ghost_is_complete_in_every_frame_of_an_animation(arm):
 
 
 def colors(scene, name):
-    import umsgpack
-
-    kept = scene.window.copies | scene.window.objects
-    told = [umsgpack.unpackb(data) for path, data in kept.items() if path.startswith(f"{name}/")]
+    told = [one for one in scene.window.snapshot() if one["path"].startswith(f"/meshcat/{name}/")]
     return {
         (one["color"], one["opacity"]) if one["type"] == "copy" else
-        (one["object"]["materials"][0]["color"], one["object"]["materials"][0]["opacity"]) for one in told
+        (one["object"]["materials"][0]["color"], one["object"]["materials"][0]["opacity"])
+        for one in told if one["type"] != "set_transform"
     }  # fmt: skip
 
 
