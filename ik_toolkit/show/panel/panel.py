@@ -37,18 +37,9 @@ class Follower(PanelPage):
         self.sliders: list[Any] = []
         self.status = self.gui.add_html("")
         self._build_goals()
-        home = self.gui.add_button("Reset to home")
-        self._on(home, "joints", self._home)
+        self._button("Reset to home", "joints", self._home, color=None)
         self.outcome = self.gui.add_html("", visible=False)
         self.pose = self.gui.add_html("")
-
-    def _home(self) -> None:
-        s = self.session
-        s.q, s.followed = s.robot.home.copy(), None
-        self.outcome.visible = False
-        self.show()
-        self._target_to_tip()
-        self.say("at home")
 
 
 class Panel(Unique):

@@ -1,14 +1,13 @@
 """The panel's Solve tab: typed or dragged targets, solutions (one shown as a translucent robot), and the error per iteration."""
 
 import html
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...style import COLOURS
 from ..plots import FLOOR
-from .session import KINDS, NONE, Session
+from .session import KINDS, NONE
 from .tables import note_html
 from .viser_scene import Handle
 
@@ -16,28 +15,23 @@ from .viser_scene import Handle
 class Goal:
     """The target of one tip, typed or dragged; `kind` is one of KINDS, or NONE if the tip has no target."""
 
-    def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
-        """Build the controls; listen(handle, name, job) runs a job when the visitor changes one."""
-        self.session, self.tip, self.kind = session, tip, kind
+    def __init__(self, desk: Any, tip: str, kind: str, handle: Handle) -> None:
+        """Build the controls on a visitor's page; handle: the target's arrows and rings in the 3-D view."""
+        self.session, self.tip, self.kind, self.handle = desk.session, tip, kind, handle
+        gui, session = desk.gui, self.session
         T = session.goals()[tip]
         xyz, rotation = session.words(T, kind)
         self.xyz = gui.add_text("x y z [m]", xyz, visible=self._placed)
         kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
-        orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
-        listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
+        desk._ask(gui.add_dropdown("Orientation", kinds, initial_value=kind), f"kind {tip}", self.give)
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
         self.written = xyz, rotation  # texts in the fields; the handle's target has more digits
-        self.handle: Handle  # set by `join`
+        handle.turns(self.posed, kind != NONE)
 
     @property
     def posed(self) -> bool:
         """Whether the target has an orientation."""
         return self.kind not in ("free", NONE)
-
-    def join(self, handle: Handle) -> None:
-        """Connect the target with its handle (arrows and rings) in the 3-D view."""
-        self.handle = handle
-        handle.turns(self.posed, self.kind != NONE)
 
     def give(self, kind: str) -> None:
         """Change the form in which the orientation is typed."""
@@ -108,29 +102,15 @@ CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()=
 class SolutionsTab:
     """The solutions found, with their controls."""
 
-    def __init__(
-        self,
-        gui: Any,
-        session: Session,
-        listen: Callable[..., None],
-        ghost: Callable[[np.ndarray | None], None],
-        go: Callable[[int], None],
-    ) -> None:
-        """Build the controls, hidden until there are solutions.
-
-        ghost(q) shows a solution as a translucent robot (None hides it), go(k) moves the robot to solution k, and
-        listen(handle, name, job) runs a job when a control changes.
-        """
-        self.session, self.ghost = session, ghost
+    def __init__(self, desk: Any) -> None:
+        """Build the controls on a visitor's page, hidden until there are solutions."""
+        self.session, self.ghost, gui = desk.session, desk.stage.ghost, desk.gui
         self.folder = gui.add_folder("Solutions", visible=False)
         with self.folder:
             self.table = gui.add_html("")
-            self.number = gui.add_number(
-                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a column you point at."
-            )
-            button = gui.add_button(GO)
-        listen(self.number, "ghost", self.point)
-        listen(button, "joints", lambda: go(self.chosen))
+            hint = "Shown as a ghost, like a column you point at."
+            self.number = desk._on(gui.add_number("Solution", 1, min=1, step=1, hint=hint), "ghost", self.point)
+            desk._button(GO, "joints", lambda: desk._pick(self.chosen), color=None)
 
     @property
     def chosen(self) -> int:
@@ -194,14 +174,8 @@ class Chart:
     def __init__(self, client: Any) -> None:
         """Build the chart, empty and hidden."""
         self.client = client
-        self.plot = client.gui.add_uplot(
-            (np.array([0.0, 1.0]), np.zeros(2)),
-            CURVES[:2],
-            title="error per iteration (log scale)",
-            scales={"x": {"time": False}},
-            height=200,
-            visible=False,
-        )
+        empty, look = (np.array([0.0, 1.0]), np.zeros(2)), {"title": "error per iteration (log scale)", "height": 200}
+        self.plot = client.gui.add_uplot(empty, CURVES[:2], scales={"x": {"time": False}}, visible=False, **look)
 
     def hide(self) -> None:
         """Hide the chart while the robot is moved by something other than a solve."""
