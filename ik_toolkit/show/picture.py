@@ -20,6 +20,7 @@ from ..style import GREY, MUTED
 from .body import DrawnShape
 from .live_page import normals
 from .meshcat_server import Cloud, Window
+from .plots import charts
 from .scene_state import css
 
 
@@ -253,26 +254,18 @@ def _chart(pencil: _Pencil, curves: Any) -> None:
 
     Each curve has a name, a colour, pairs of iteration and error [m], and words, which the page alone shows.
     """
-    (W, H), sharp = pencil.image.size, pencil.sharp
-    left, right, top, bottom = 0.72 * W, 0.98 * W, 0.09 * H, 0.45 * H
-    drawn = [(name, color, np.maximum(errors, (0.0, 1e-9))) for name, color, errors, _ in curves]
-    last = max(1.0, *(errors[-1, 0] for _, _, errors in drawn))
-    logs = np.log10(np.concatenate([errors[:, 1] for _, _, errors in drawn]))
-    low, high = int(np.floor(logs.min())), int(np.ceil(logs.max() + 1e-9))
-    scale = np.array([(right - left) / last, (top - bottom) / (high - low)])
-    pencil.draw.rectangle((left, top, right, bottom), "white", "#8C8C8C")
-    for power in range(low, high + 1):
-        y = bottom + scale[1] * (power - low)
-        pencil.draw.line((left, y, right, y), "#d9dee4")
-        if power % max(1, (high - low) // 4) == 0:
-            pencil.text(left - 6, y, f"1e{power}", 7, at="rm")
-    for k, (name, color, errors) in enumerate(drawn):
-        line = np.array([left, bottom]) + scale * np.column_stack([errors[:, 0], np.log10(errors[:, 1]) - low])
-        pencil.draw.line([*line.ravel()], color, 2 * sharp, "curve")
-        pencil.text(right - 8, top + (10 + 13 * k) * sharp, name, 7, color, "rm")
-    pencil.text(left, top - 8 * sharp, "error [m]", 8)
-    pencil.text(left, bottom + 8 * sharp, "0", 7)
-    pencil.text(right, bottom + 8 * sharp, f"iteration {last:.0f}", 7, at="rm")
+    from PIL import Image
+
+    (W, H), stream = pencil.image.size, io.BytesIO()
+    scale = W / 7.6  # pixels of an inch
+    with charts(1, 1, (0.3 * W / scale, 0.45 * H / scale)) as (figure, axis):
+        for name, color, errors, _ in curves:
+            steps, left = np.transpose(errors)
+            axis.semilogy(steps, np.maximum(left, 1e-9), color=color, label=name)
+        axis.set(xlabel="iteration", title="error [m]")
+        axis.legend()
+        figure.savefig(stream, format="png", dpi=scale)
+    pencil.image.paste(Image.open(stream), (round(0.7 * W), 0))
 
 
 # ------------------------------------------------------------------------------------------------------------------ films
