@@ -75,11 +75,7 @@ def of_path(result: Any) -> ShownMotion:
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
     """Convert a Trajectory to a ShownMotion; its values are the speeds of the fastest tip."""
-    speeds = []
-    for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
-        J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
-        speeds.append(np.linalg.norm(np.einsum("tij,tj->ti", J[:, :3], trajectory.dq[:, columns]), axis=1))
-    values = np.max(speeds, axis=0)
+    values = tip_speeds(trajectory.robot, trajectory.t, trajectory.q)
     labels = [
         f"t = {t:.2f} s, {f'pose {place:.1f}' if place == place else 'changing to another branch'}{_much(x, 'm/s')}"
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
@@ -94,14 +90,17 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
     t, q = read_motion(robot, file)
-    values = np.full(len(q), np.nan)
-    if t is not None and len(t) > 1:
-        tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
-        moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
-        values[1:] = moved / np.maximum(np.diff(t), 1e-9)
-        values[0] = values[1]
+    values = np.full(len(q), np.nan) if t is None or len(t) < 2 else tip_speeds(robot, t, q)
     labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
     return ShownMotion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
+
+
+def tip_speeds(robot: Joints, t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return the mean speed (N,) [m/s] of the fastest tip since the row before, for N > 1 times [s] and configurations (N, n)."""
+    tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
+    moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
+    speeds = moved / np.maximum(np.diff(t), 1e-9)
+    return np.append(speeds[:1], speeds)
 
 
 def motion_of(what: Any) -> ShownMotion | None:
@@ -186,7 +185,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
     """Draw the obstacles of a CollisionModel at the scene paths NAME/SHAPE; shapes held by the robot move with the tip."""
     for one, placed in model._placed.items():
         if placed.arm is None:
-            scene.add(placed.shape, placed.T, f"{name}/{one}")
+            scene._shape(placed.shape, placed.T, f"{name}/{one}")
         elif numbered("tip", placed.arm) in scene.window.transforms:
             path = f"{numbered('tip', placed.arm)}/{one}"
             scene.window.draw(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
@@ -198,15 +197,14 @@ def draw_solve(scene: Any, result: Any) -> None:
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
-    frames, labels = [], []
-    for k, row in enumerate(rows):
-        text = f"iteration {row}: {length(float(position[row]))}"
-        if np.isfinite(angle[row]):
-            text += f", {in_words(float(angle[row]))}"
-        last = k + 1 == len(rows)
-        for step in range(1 if last else between):
-            frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
-            labels.append(text)
+    words = [
+        f"iteration {row}: {length(float(position[row]))}"
+        + (f", {in_words(float(angle[row]))}" if np.isfinite(angle[row]) else "")
+        for row in rows
+    ]
+    number = np.arange(between * (len(rows) - 1) + 1)
+    frames = np.stack([np.interp(number / between, np.arange(len(rows)), joint) for joint in Q[rows].T], axis=1)
+    labels = [words[k] for k in number // between]
     scene.show(Q[0], "start", SLATE, 0.22, "start")
     for number, other in enumerate(others):
         ways = np.array([scene._tips(q) for q in result.history["q"][other]])
@@ -266,7 +264,7 @@ def _coloured(
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
-        scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+        scene._trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures

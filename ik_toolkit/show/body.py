@@ -151,8 +151,7 @@ class Body:
 
     def tips(self, q: Any) -> np.ndarray:
         """Return the poses (tips, 4, 4) [m] of the tips in the world at q (n,) [rad or m]."""
-        arms = zip(self.arms, self.robot.places, strict=True)
-        return np.array([self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous for arm, at in arms])
+        return np.array([self.T_world_base @ T.homogeneous for T in self.robot.tip_poses(np.asarray(q))])
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
         """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
@@ -345,6 +344,8 @@ def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
     """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
+    import trimesh
+
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
@@ -360,10 +361,7 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
-    angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3) points
-    vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
-    k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
-    a, b = 10 * k + j, 10 * k + (j + 1) % 10
-    faces = np.stack([np.stack([a, b, b + 10], -1), np.stack([a, b + 10, a + 10], -1)]).reshape(-1, 3)
-    return DrawnShape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)
+    straight = trimesh.creation.revolve(np.column_stack([np.ones(len(P)), np.arange(len(P))]), sections=10)
+    x, y = np.asarray(straight.vertices)[:, :2].reshape(10, -1, 2).transpose(2, 0, 1)[..., None]
+    vertices = (P + radius * (x * across + y * third)).reshape(-1, 3)
+    return DrawnShape(vertices.astype(np.float32), np.array(straight.faces, dtype=np.uint32), color, opacity)

@@ -21,14 +21,12 @@ def meshcat_module() -> Any:
         warnings.simplefilter("ignore")
         try:
             import meshcat
-            import meshcat.commands
-            import meshcat.geometry
         except ImportError:
             raise MissingExtra("meshcat", "view") from None
     return meshcat
 
 
-def packed(command: dict[str, Any]) -> bytes:
+def command_bytes(command: dict[str, Any]) -> bytes:
     """Pack a meshcat command as the bytes that a page reads."""
     import umsgpack
 

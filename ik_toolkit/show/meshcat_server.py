@@ -22,7 +22,7 @@ import numpy as np
 from ..files import as_output, write_whole
 from .access import below, new_token, refused_request
 from .body import DrawnShape
-from .feed import ROOT, Feed, as_json, meshcat_module, packed
+from .feed import ROOT, Feed, as_json, command_bytes, meshcat_module
 
 HOST = "127.0.0.1"
 SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
@@ -40,7 +40,7 @@ def compressed(data: bytes) -> str:
 
 def framed(commands: list[dict[str, Any]]) -> bytes:
     """Pack and concatenate viewer commands, each preceded by its length."""
-    return b"".join(len(data).to_bytes(4, "little") + data for data in map(packed, commands))
+    return b"".join(len(data).to_bytes(4, "little") + data for data in map(command_bytes, commands))
 
 
 class Cloud(NamedTuple):
@@ -212,11 +212,8 @@ class Server:
         import tornado.web
 
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        names = ("", "viewer.js", "ws")
-        routes = [
-            ("/[^/]*/" + name.replace(".", "[.]"), made, {"token": self.token})
-            for name, made in zip(names, handlers(self.window), strict=True)
-        ]
+        page, script, socket = handlers(self.window, self.token)
+        routes: Any = [("/[^/]*/", page), ("/[^/]*/viewer[.]js", script), ("/[^/]*/ws", socket)]
         server = tornado.httpserver.HTTPServer(tornado.web.Application(routes, log_function=lambda _: None))
         server.add_sockets([self._socket])
         self._ready.set()
@@ -231,20 +228,17 @@ class Server:
             self._thread.join(5.0)
 
 
-def handlers(window: Window) -> tuple[Any, Any, Any]:
+def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
     """Make the page, script and web-socket handlers of a window; tornado is imported here, because only serving needs it."""
     import tornado.iostream
     import tornado.web
     import tornado.websocket
 
     class Door(tornado.web.RequestHandler):
-        def initialize(self, token: str) -> None:
-            self.token = token
-
         def prepare(self) -> None:
             if refused_request(self.request.headers, HOST):
                 raise tornado.web.HTTPError(http.client.FORBIDDEN)
-            if below(self.request.path, self.token) is None:
+            if below(self.request.path, token) is None:
                 raise tornado.web.HTTPError(http.client.NOT_FOUND)
 
     class Page(Door):
@@ -276,7 +270,9 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
                     news.clear()
                     commands, about = self.feed.take()
                     for command in commands:
-                        await self.write_message(packed(command), binary=True)  # waits until the page can take it
+                        await self.write_message(
+                            command_bytes(command), binary=True
+                        )  # waits until the page can take it
                     if about:
                         await self.write_message(as_json(about))
 

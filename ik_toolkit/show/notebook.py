@@ -22,26 +22,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
-from ..robot.joints import Joints
 from .animation import numbered
-from .body import Body, DrawnShape
-from .feed import Feed, as_json, packed
+from .body import DrawnShape
+from .feed import Feed, as_json, command_bytes
 from .live_page import thin
 from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
+from .scene_state import SceneState
 
 _standing: dict[str, Any] = {}  # the cell into which this kernel has written each shared part
 
 
-class InCell:
-    """Notebook methods of a scene: it displays itself, moves while it is displayed, and passes on dragged targets."""
+class InCell(SceneState):
+    """A scene in the cells of a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
 
-    robot: Joints
-    body: Body
-    window: Window
     channel: "Channel | None" = None
-    say: Callable[..., None]
-    look: Callable[..., None]
 
     def on_drag(self, call: Callable[[Any], Any]) -> None:
         """Let the targets be dragged in the cells of a live scene; `call` is called with the new targets.
@@ -264,7 +259,7 @@ class Channel:
 
     def _send(self, commands: list[dict[str, Any]], about: dict[str, Any]) -> None:
         if commands or about:
-            self.widget.send({"about": [as_json(about)] if about else []}, [*map(packed, commands)])
+            self.widget.send({"about": [as_json(about)] if about else []}, [*map(command_bytes, commands)])
 
     def _heard(self, widget: Any, content: dict[str, Any], buffers: Any) -> None:
         """Take a message of a page: a cell was opened, or a target dragged."""

@@ -105,8 +105,7 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     used = np.unique(plane[yes])
     for k in used:
         some = yes & (plane == k)
-        scene.window.draw(f"cells/{k}", Cloud(points[some], colours[some], big))
-        scene._boxes[f"cells/{k}"] = np.array([points[some].min(axis=0), points[some].max(axis=0)])
+        scene._draw(f"cells/{k}", Cloud(points[some], colours[some], big), points[some])
         scene._shown.add(f"cells/{k}")
     what = "share of orientations reached" if found.grid.turns > 1 else "manipulability"
     ends = ((0.0, "low"), (1.0, "high"))

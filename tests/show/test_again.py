@@ -211,12 +211,25 @@ def test_obstacles_that_a_result_was_solved_with_are_drawn(tmp_path, held):
             assert np.allclose(drawn["tip/part"][:3, 3], place, atol=1e-9)
 
 
+def test_names_with_a_slash_are_refused(arm):
+    """In the viewer a path below another one moves and vanishes with it."""
+    scene = view(arm)
+    box = ik.Shape.box((0.1, 0.1, 0.1))
+    for draw in (
+        lambda: scene.add(box, name="a/b"), lambda: scene.frame(np.eye(4), "a/b"), lambda: scene.show(arm.home, "a/b"),
+        lambda: scene.trail(np.eye(3), "a/b"), lambda: scene.cloud(np.eye(3), name="a/b"),
+    ):  # fmt: skip
+        with pytest.raises(InvalidOption, match=r"a name has no '/'.*got 'a/b'"):
+            draw()
+    assert {*scene.names} == {"robot", "tip"}
+
+
 def test_the_shell_draws_obstacles(tmp_path, monkeypatch):
     from ik_toolkit.cli import main
 
     drawn = []
-    add = Scene.add
-    monkeypatch.setattr(Scene, "add", lambda self, *args, **more: (drawn.append(args), add(self, *args, **more))[1])
+    shape = Scene._shape
+    monkeypatch.setattr(Scene, "_shape", lambda self, *args: (drawn.append(args), shape(self, *args))[1])
     command = ["hydrolek_7w", "--xyz", "0.6", "0.3", "0.1", "--obstacle", "sphere:0.9,0.9,0.9,0.05", "--html"]
     for words in (["solve"], ["solve", "--all"]):
         drawn.clear()

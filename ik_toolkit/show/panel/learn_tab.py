@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import IKError, InvalidConfiguration
+from ...errors import IKError
 from ...kernel.counted_error import POSE, POSITION
 from ...robot.pose import LAST
 from ...solvers.closed_form import fits
@@ -60,13 +60,7 @@ class Lesson:
 
         Raises InvalidConfiguration.
         """
-        q = self.session.q.copy()
-        for i, (value, before) in enumerate(zip(values, shown, strict=True)):
-            if value != before:
-                q[i] = value / self.scale(i)
-        if not np.isfinite(q).all():
-            raise InvalidConfiguration("a joint value is not a finite number")
-        return np.clip(q, self.robot.lower, self.robot.upper)
+        return self.session.read_joints(values, shown, [self.scale(i) for i in range(self.robot.n)], True)
 
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
         """Return the columns n, o, a and p [mm] of a pose (4, 4)."""

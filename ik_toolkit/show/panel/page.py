@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import IKError, InvalidConfiguration
+from ...errors import IKError
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
 from ..body import Body
@@ -183,13 +183,8 @@ class PanelPage(Visit):
 
     def _moved(self) -> None:
         s = self.session
-        q = s.q.copy()
-        for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # shown values are rounded, so an untouched joint keeps its exact value
-                q[i] = slider.value / s.scale(i)
-        if not np.isfinite(q).all():
-            raise InvalidConfiguration("a joint value is not a finite number")
-        s.q = np.clip(q, s.robot.lower, s.robot.upper) if s.limits else q
+        scales = [s.scale(i) for i in range(s.robot.n)]
+        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, scales, s.limits)
         self.show()
 
     def _push(self) -> None:
@@ -260,9 +255,8 @@ class PanelPage(Visit):
         self.parameters.visible = bool(fields)
         with self.parameters:
             for name, default in fields.items():
-                text, hint = (
-                    ("", "the method's own default") if default is None else (str(default), f"default {default}")
-                )
+                text = "" if default is None else str(default)
+                hint = f"default {default}" if text else "the method's own default"
                 self.typed_parameters[name] = self.gui.add_text(name, text, hint=hint)
 
     def _typed(self) -> Any:

@@ -126,10 +126,7 @@ class Panel(Unique):
 def _check_address(host: str, port: int) -> None:
     """Reject an address that cannot be listened on, because viser would try one port after another for ever."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise InvalidOption(f"port {port} is in use") from None

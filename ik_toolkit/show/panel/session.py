@@ -122,6 +122,20 @@ class Session:
         low = low if math.isfinite(low) else min(-span, float(self.q[i]))
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
+    def read_joints(
+        self, fields: Sequence[float], shown: list[float], scales: Sequence[float], limits: bool
+    ) -> np.ndarray:
+        """Return q (n,) from typed values over scales; what is as it was shown, rounded, keeps its digits.
+
+        Raises InvalidConfiguration.
+        """
+        q, values = self.q.copy(), np.array(fields, dtype=float)
+        typed = values != np.array(shown)
+        q[typed] = values[typed] / np.array(scales)[typed]
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
+        return np.clip(q, self.robot.lower, self.robot.upper) if limits else q
+
     def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return T_base_tip (4, 4) of each tip at q (n,), by default the current q."""
         each = self.robot.each_tip(self.robot.fk(self.q if q is None else q))

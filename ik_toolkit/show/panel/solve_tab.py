@@ -1,14 +1,13 @@
 """The panel's Solve tab: typed or dragged targets, solutions (one shown as a translucent robot), and the error per iteration."""
 
-import html
 from typing import Any
 
 import numpy as np
 
 from ...style import COLOURS
-from ..plots import FLOOR
+from ..plots import FLOOR, iterates
 from .session import KINDS, NONE
-from .tables import note_html
+from .tables import note_html, table_rows
 from .viser_scene import Handle
 
 
@@ -139,20 +138,15 @@ class SolutionsTab:
         """Write the table of solutions, one column per solution: number, branch, distance, joint values."""
         s = self.session
         signs = s.branches if s.branches is not None and np.any(s.branches) else None
-        lines = [("", [str(k + 1) for k in range(len(s.solutions))])]
+        lines = [("", *(str(k + 1) for k in range(len(s.solutions))))]
         if signs is not None:
             words = [" ".join(f"{a}{SIGNS[x]}" for a, x in zip("SEW", row, strict=True)) for row in signs]
-            lines.append(("branch", words[: len(s.solutions)]))
+            lines.append(("branch", *words[: len(s.solutions)]))
         for i, name in enumerate(s.robot.joint_names):
-            values = [f"{round(s.scale(i) * q[i], s.digits(i)) + 0.0:.{s.digits(i)}f}" for q in s.solutions]
-            lines.append((f"{name} [{s.unit(i)}]", values))
-        lines.append(("distance [rad]", [f"{distance:.3f}" for distance in s.distances]))
-        rows = "".join(
-            f'<tr><th style="{CELL};{STAY}">{html.escape(name)}</th>'
-            + "".join(f'<td style="{CELL}">{value}</td>' for value in values)
-            + "</tr>"
-            for name, values in lines
-        )
+            values = (f"{round(s.scale(i) * q[i], s.digits(i)) + 0.0:.{s.digits(i)}f}" for q in s.solutions)
+            lines.append((f"{name} [{s.unit(i)}]", *values))
+        lines.append(("distance [rad]", *(f"{distance:.3f}" for distance in s.distances)))
+        rows = table_rows(lines, CELL, STAY)
         note = "<div>S, E, W: signs of shoulder, elbow and wrist.</div>" if signs is not None else ""
         point = POINT.format(field=self.number._impl.uuid)
         return (
@@ -182,18 +176,14 @@ class Chart:
         self.plot.visible = False
 
     def show(self, result: Any) -> None:
-        """Draw the history of a Result; for several attempts, the best so far."""
-        history = result.history
-        if history is None or len(history["position_error"]) < 2:
+        """Draw the errors of the attempt that found a Result, which has a history."""
+        position, angle = iterates(result)[1:3] if result.history else (np.zeros(0), np.zeros(0))
+        if len(position) < 2:
             self.hide()
             return
-        position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
-        rows = np.arange(len(position))
-        if result.restarts:
-            rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
         known = [position, angle] if np.isfinite(angle).all() else [position]  # without angles for a position
-        curves = [np.log10(np.maximum(values[rows], FLOOR)) for values in known]
+        curves = [np.log10(np.maximum(values, FLOOR)) for values in known]
         with self.client.atomic():
             self.plot.series = CURVES[: 1 + len(curves)]
-            self.plot.data = (np.arange(len(rows), dtype=float), *curves)
+            self.plot.data = (np.arange(len(position), dtype=float), *curves)
             self.plot.visible = True

@@ -28,13 +28,17 @@ def table_html(rows: Any, head: Any = None) -> str:
     """Write rows of texts as an HTML table."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td style="{cell}{";" + muted if not k else ""}">{html.escape(x)}</td>' for k, x in enumerate(row))
-        + "</tr>"
+    body = table_rows(rows, cell, muted)
+    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+
+
+def table_rows(rows: Any, cell: str, lead: str) -> str:
+    """Write rows of texts as rows of an HTML table; cell: CSS of all cells, lead: more CSS of those in the first column."""
+    cells = (
+        [f'<td style="{cell}{"" if k else f";{lead}"}">{html.escape(x)}</td>' for k, x in enumerate(row)]
         for row in rows
     )
-    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+    return "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
 
 
 class Recorder:
