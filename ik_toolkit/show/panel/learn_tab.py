@@ -198,7 +198,7 @@ class Learn:
             return
         lesson = self.lesson
         for i, field in enumerate(self.values):
-            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4), field.min, field.max))
+            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4) + 0.0, field.min, field.max))
         T = self.session.poses(q)[self.robot.tip]
         self.pose.content = to_html([target_table(T, lesson.places), Sentence("Position p in mm.")])
         self.table.content = to_html(dh_blocks(self.robot, lesson.table, q))

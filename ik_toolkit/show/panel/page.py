@@ -153,7 +153,7 @@ class PanelPage(Visit):
             self.stage.show(s.q)
             self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
-                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i))
+                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i)) + 0.0
                 slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
         if self.around is not None:
             self.facts.content = self.around.show()
