@@ -75,7 +75,11 @@ def of_path(result: Any) -> ShownMotion:
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
     """Convert a Trajectory to a ShownMotion; its values are the speeds of the fastest tip."""
-    values = tip_speeds(trajectory.robot, trajectory.t, trajectory.q)
+    speeds = []
+    for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
+        J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
+        speeds.append(np.linalg.norm(np.einsum("tij,tj->ti", J[:, :3], trajectory.dq[:, columns]), axis=1))
+    values = np.max(speeds, axis=0)
     labels = [
         f"t = {t:.2f} s, {f'pose {place:.1f}' if place == place else 'changing to another branch'}{_much(x, 'm/s')}"
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
@@ -90,17 +94,14 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
     t, q = read_motion(robot, file)
-    values = np.full(len(q), np.nan) if t is None or len(t) < 2 else tip_speeds(robot, t, q)
+    values = np.full(len(q), np.nan)
+    if t is not None and len(t) > 1:
+        tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
+        moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
+        values[1:] = moved / np.maximum(np.diff(t), 1e-9)
+        values[0] = values[1]
     labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
     return ShownMotion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
-
-
-def tip_speeds(robot: Joints, t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the mean speed (N,) [m/s] of the fastest tip since the row before, for N > 1 times [s] and configurations (N, n)."""
-    tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
-    moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
-    speeds = moved / np.maximum(np.diff(t), 1e-9)
-    return np.append(speeds[:1], speeds)
 
 
 def motion_of(what: Any) -> ShownMotion | None:
