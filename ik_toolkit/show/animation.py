@@ -1,6 +1,5 @@
 """Drawing of results in a scene: solves, runs, paths and trajectories, along which the robot moves, and their obstacles."""
 
-import base64
 import copy
 import csv
 import io
@@ -187,10 +186,10 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
     """Draw the obstacles of a CollisionModel at the scene paths NAME/SHAPE; shapes held by the robot move with the tip."""
     for one, placed in model._placed.items():
         if placed.arm is None:
-            scene.add(placed.shape, placed.T, f"{name}/{one}")
+            scene._shape(placed.shape, placed.T, f"{name}/{one}")
         elif numbered("tip", placed.arm) in scene.window.transforms:
             path = f"{numbered('tip', placed.arm)}/{one}"
-            scene.window.shape(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
+            scene.window.draw(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
             scene.window.place(path, placed.T)
 
 
@@ -199,15 +198,14 @@ def draw_solve(scene: Any, result: Any) -> None:
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
-    frames, labels = [], []
-    for k, row in enumerate(rows):
-        text = f"iteration {row}: {length(float(position[row]))}"
-        if np.isfinite(angle[row]):
-            text += f", {in_words(float(angle[row]))}"
-        last = k + 1 == len(rows)
-        for step in range(1 if last else between):
-            frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
-            labels.append(text)
+    words = [
+        f"iteration {row}: {length(float(position[row]))}"
+        + (f", {in_words(float(angle[row]))}" if np.isfinite(angle[row]) else "")
+        for row in rows
+    ]
+    number = np.arange(between * (len(rows) - 1) + 1)
+    frames = np.stack([np.interp(number / between, np.arange(len(rows)), joint) for joint in Q[rows].T], axis=1)
+    labels = [words[k] for k in number // between]
     scene.show(Q[0], "start", SLATE, 0.22, "start")
     for number, other in enumerate(others):
         ways = np.array([scene._tips(q) for q in result.history["q"][other]])
@@ -267,7 +265,7 @@ def _coloured(
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
-        scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+        scene._trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures
@@ -292,11 +290,10 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         return file
     if made is None:
         raise InvalidOption("there is no animation to record: see animate, or show a result with history or a run")
-    poses = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4").reshape(made["count"], -1, 3, 4)
     rows = thin_rows(made["count"], most)
     frames, seen = [], copy.copy(window)
     for row in rows.tolist():
-        there = zip(made["paths"], poses[row], strict=True)
+        there = zip(made["paths"], made["data"][row], strict=True)
         moved = {path.removeprefix(ROOT): np.vstack([T, LAST]) for path, T in there}
         seen.transforms = window.transforms | moved
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}

@@ -21,18 +21,21 @@ def meshcat_module() -> Any:
         warnings.simplefilter("ignore")
         try:
             import meshcat
-            import meshcat.commands
-            import meshcat.geometry
         except ImportError:
             raise MissingExtra("meshcat", "view") from None
     return meshcat
 
 
-def scene_command(command: dict[str, Any]) -> bytes:
-    """Pack a meshcat command as bytes, after its path in the scene is prefixed for meshcat."""
+def command_bytes(command: dict[str, Any]) -> bytes:
+    """Pack a meshcat command as the bytes that a page reads."""
     import umsgpack
 
-    return umsgpack.packb({**command, "path": ROOT + command["path"]})
+    return umsgpack.packb(command)
+
+
+def as_json(about: dict[str, Any]) -> str:
+    """Write text, camera and animation of a page as JSON; arrays become the base64 text of their numbers (float32)."""
+    return json.dumps(about, default=lambda array: base64.b64encode(array.astype("<f4").tobytes()).decode())
 
 
 class Feed:
@@ -75,14 +78,14 @@ class Feed:
         self._about.update(about)
         self._news()
 
-    def take(self) -> list[bytes | str]:
-        """Return the messages that bring the page up to date."""
+    def take(self) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Return the commands that bring the page up to date, and what has changed of its text and camera."""
         with self.window.lock:
             self._awake = False
             gone, paths, about = self._gone, self._paths, self._about
             self._gone, self._paths, self._about = set(), set(), {}
-            erased = [scene_command({"type": "delete", "path": path}) for path in gone]
-            return [*erased, *self.window.snapshot(paths), *([json.dumps(about)] if about else [])]
+            erased = [{"type": "delete", "path": ROOT + path} for path in gone]
+            return [*erased, *self.window.snapshot(paths)], about
 
 
 class Guest:
@@ -101,8 +104,7 @@ class Guest:
             )
         self._nodes = {path: meshcat[f"{group}/{shape.name}"] for path, shape in theirs.items()}
         self._scales = {path: np.repeat([*shape.meshScale, 1.0], 4) for path, shape in theirs.items()}
-        self._drawn: dict[str, Any] = {}
-        self._scene = meshcat["ik_toolkit"]
+        self._window, self._scene = window, meshcat["ik_toolkit"]
         self._scene.delete()
         self._scene.set_animation(meshcat_module().animation.Animation(), play=False)
         self._feed: Feed | None = None
@@ -112,24 +114,20 @@ class Guest:
 
     def update(self) -> None:
         """Send what has changed in the scene, but no title, text, legend or camera."""
-        import umsgpack
-
-        for data in self._feed.take() if self._feed is not None else ():
-            if isinstance(data, bytes):
-                self._send(umsgpack.unpackb(data))
-            elif motion := json.loads(data).get("animation"):
-                self._scene.set_animation(self._animation(motion))
+        commands, about = self._feed.take() if self._feed is not None else ([], {})
+        for command in commands:
+            self._send(command)
+        if motion := about.get("animation"):
+            self._scene.set_animation(self._animation(motion))
 
     def _send(self, command: dict[str, Any]) -> None:
         path = command["path"].removeprefix(ROOT)
         if command["type"] == "copy":  # a command that only this package's own page understands
-            made, color = self._drawn[command["source"]], {key: command[key] for key in ("color", "opacity")}
-            made = {**made, "materials": [{**made["materials"][0], **color, "transparent": True}]}
+            made = self._window.drawing(command["source"].removeprefix(ROOT))["object"]
+            made["materials"][0] |= {"color": command["color"], "opacity": command["opacity"], "transparent": True}
             command = {"type": "set_object", "object": made}
-        elif command["type"] == "set_object":
-            self._drawn[ROOT + path] = command["object"]
-            if path.rpartition("/")[0] in self._nodes:
-                return
+        elif command["type"] == "set_object" and path.rpartition("/")[0] in self._nodes:
+            return
         elif command["type"] == "set_transform" and path in self._nodes:
             command["matrix"] = (self._scales[path] * command["matrix"]).tolist()
         sent = {**command, "path": self._node(path).path.lower()}
@@ -140,8 +138,7 @@ class Guest:
 
     def _animation(self, motion: dict[str, Any]) -> Any:
         made = meshcat_module().animation.Animation(default_framerate=motion["fps"])
-        poses = np.frombuffer(base64.b64decode(motion["data"]), "<f4").reshape(motion["count"], -1, 3, 4).astype(float)
-        for path, rows in zip(motion["paths"], poses.swapaxes(0, 1), strict=True):
+        for path, rows in zip(motion["paths"], motion["data"].swapaxes(0, 1), strict=True):
             for k, T in enumerate(rows):
                 made.at_frame(self._node(path.removeprefix(ROOT)), k).set_transform(
                     np.vstack([T, [0.0, 0.0, 0.0, 1.0]])

@@ -11,19 +11,18 @@ import gzip
 import html
 import http.client
 import importlib.resources
-import json
 import socket
 import threading
 from collections.abc import Callable, Container, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..files import as_output, write_whole
 from .access import below, new_token, refused_request
 from .body import DrawnShape
-from .feed import ROOT, Feed, meshcat_module, scene_command
+from .feed import ROOT, Feed, as_json, command_bytes, meshcat_module
 
 HOST = "127.0.0.1"
 SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
@@ -39,19 +38,35 @@ def compressed(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
-def framed(commands: list[bytes]) -> bytes:
-    """Concatenate viewer commands, each preceded by its length."""
-    return b"".join(len(command).to_bytes(4, "little") + command for command in commands)
+def framed(commands: list[dict[str, Any]]) -> bytes:
+    """Pack and concatenate viewer commands, each preceded by its length."""
+    return b"".join(len(data).to_bytes(4, "little") + data for data in map(command_bytes, commands))
+
+
+class Cloud(NamedTuple):
+    """Points (N, 3) [m] with colors (N, 3) in 0..1, and their size [m]."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    size: float
+
+
+class Copy(NamedTuple):
+    """The shape of another path (source) in another colour, whose triangles need not be sent again."""
+
+    source: str
+    color: tuple[float, float, float]
+    opacity: float
 
 
 class Window:
-    """Contents of a scene: meshcat commands by path, transforms (read by tests), and the page's text and camera (`about`)."""
+    """Contents of a scene by path: what is drawn, transforms (4, 4), and the page's text and camera (`about`)."""
 
     def __init__(self) -> None:
         """Start with an empty scene."""
         meshcat_module()
-        self.objects: dict[str, bytes] = {}
-        self.copies: dict[str, bytes] = {}
+        self.objects: dict[str, DrawnShape | Cloud] = {}
+        self.copies: dict[str, Copy] = {}
         self.transforms: dict[str, np.ndarray] = {}
         self.about: dict[str, Any] = {"title": "", "camera": None, "animation": None}
         self.about |= {"lines": [], "legend": [], "names": []}
@@ -59,42 +74,19 @@ class Window:
         self.lock = threading.RLock()
         self.server: Server | None = None
 
-    def _keep(self, kept: dict[str, bytes], command: dict[str, Any]) -> None:
+    def _keep(self, kept: dict[str, Any], path: str, what: Any) -> None:
         with self.lock:
-            kept[command["path"]] = scene_command(command)
+            kept[path] = what
             for feed in self.feeds:
-                feed.changed(command["path"])
+                feed.changed(path)
 
-    def shape(self, path: str, shape: DrawnShape) -> None:
-        """Draw triangles at a path."""
-        g = meshcat_module().geometry
-        material = g.MeshPhongMaterial(
-            color=_number(tuple(SHADE * c for c in shape.color)),
-            opacity=shape.opacity,
-            transparent=shape.opacity < 1.0,
-            shininess=22,
-        )
-        mesh = g.Mesh(g.TriangularMeshGeometry(shape.vertices, shape.faces), material)
-        self._keep(self.objects, {"type": "set_object", "path": path, "object": mesh.lower()})
-
-    def points(self, path: str, points: np.ndarray, colors: np.ndarray, size: float) -> None:
-        """Draw a cloud of points (N, 3) [m] with colors (N, 3) in 0..1 and a size [m]."""
-        g = meshcat_module().geometry
-        cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
-        made = g.Points(cloud, g.PointsMaterial(size=size))
-        self._keep(self.objects, {"type": "set_object", "path": path, "object": made.lower()})
-
-    def copy(self, path: str, source: str, color: tuple[float, float, float], opacity: float) -> None:
-        """Draw the shape of another path again in another colour, without sending its triangles again."""
-        look = {"color": _number(color), "opacity": float(opacity)}
-        self._keep(self.copies, {"type": "copy", "path": path, "source": ROOT + source, **look})
+    def draw(self, path: str, what: DrawnShape | Cloud | Copy) -> None:
+        """Draw triangles, points or a copy at a path."""
+        self._keep(self.copies if isinstance(what, Copy) else self.objects, path, what)
 
     def place(self, path: str, T: np.ndarray) -> None:
         """Set the pose (4, 4) [m] of a path in its parent."""
-        with self.lock:
-            self.transforms[path] = np.array(T, dtype=float)
-            for feed in self.feeds:
-                feed.changed(path)
+        self._keep(self.transforms, path, np.array(T, dtype=float))
 
     def pose(self, path: str) -> np.ndarray:
         """Return the pose (4, 4) [m] of a path in the world: the product of the poses of all paths above it and its own."""
@@ -121,23 +113,37 @@ class Window:
 
     def animate(self, paths: Sequence[str], poses: np.ndarray, labels: Sequence[str], fps: float, first: int) -> None:
         """Let paths go through poses (F, paths, 3 or 4, 4) [m], with a label for each frame; frame number `first` is shown."""
-        data = base64.b64encode(np.ascontiguousarray(poses[:, :, :3], dtype="<f4").tobytes()).decode()
         made = {"paths": [ROOT + path for path in paths], "count": len(poses), "first": first}
-        self.say(animation={**made, "fps": fps, "labels": labels, "data": data})
+        self.say(animation={**made, "fps": fps, "labels": labels, "data": poses[:, :, :3]})
 
-    def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
+    def drawing(self, path: str) -> dict[str, Any]:
+        """Return the meshcat command that draws what is at a path."""
+        g, drawn = meshcat_module().geometry, self.objects[path]
+        if isinstance(drawn, Cloud):
+            cloud = g.PointsGeometry(drawn.points.T.astype(np.float32), drawn.colors.T.astype(np.float32))
+            made = g.Points(cloud, g.PointsMaterial(size=drawn.size))
+        else:
+            color, clear = _number(tuple(SHADE * c for c in drawn.color)), drawn.opacity < 1.0
+            look = g.MeshPhongMaterial(color=color, opacity=drawn.opacity, transparent=clear, shininess=22)
+            made = g.Mesh(g.TriangularMeshGeometry(drawn.vertices, drawn.faces), look)
+        return {"type": "set_object", "path": ROOT + path, "object": made.lower()}
+
+    def snapshot(self, paths: Container[str] | None = None) -> list[dict[str, Any]]:
         """Return the commands, in order, that draw the scene anew, or only some paths in it."""
 
         def wanted(path: str) -> bool:
             return paths is None or path in paths
 
         with self.lock:
-            drawn = [kept[path] for kept in (self.objects, self.copies) for path in kept if wanted(path)]
-            return drawn + [
-                scene_command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
-                for path, T in self.transforms.items()
-                if wanted(path)
-            ]
+            drawn = [self.drawing(path) for path in self.objects if wanted(path)]
+            for path, (source, color, opacity) in self.copies.items():
+                if wanted(path):
+                    look = {"color": _number(color), "opacity": float(opacity)}
+                    drawn.append({"type": "copy", "path": ROOT + path, "source": ROOT + source, **look})
+            for path, T in self.transforms.items():
+                if wanted(path):
+                    drawn.append({"type": "set_transform", "path": ROOT + path, "matrix": T.T.ravel().tolist()})
+            return drawn
 
     # ------------------------------------------------------------------------------------------------------- pages
     def _page(self, body: str) -> str:
@@ -148,7 +154,7 @@ class Window:
 
     def html(self) -> str:
         """Return the scene as one page that needs no network."""
-        parts = viewer_script(), framed(self.snapshot()), json.dumps(self.about).encode()
+        parts = viewer_script(), framed(self.snapshot()), as_json(self.about).encode()
         texts = ", ".join(f'"{compressed(part)}"' for part in parts)
         return self._page(f"still({texts});")
 
@@ -206,11 +212,8 @@ class Server:
         import tornado.web
 
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        names = ("", "viewer.js", "ws")
-        routes = [
-            ("/[^/]*/" + name.replace(".", "[.]"), made, {"token": self.token})
-            for name, made in zip(names, handlers(self.window), strict=True)
-        ]
+        page, script, socket = handlers(self.window, self.token)
+        routes: Any = [("/[^/]*/", page), ("/[^/]*/viewer[.]js", script), ("/[^/]*/ws", socket)]
         server = tornado.httpserver.HTTPServer(tornado.web.Application(routes, log_function=lambda _: None))
         server.add_sockets([self._socket])
         self._ready.set()
@@ -225,20 +228,17 @@ class Server:
             self._thread.join(5.0)
 
 
-def handlers(window: Window) -> tuple[Any, Any, Any]:
+def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
     """Make the page, script and web-socket handlers of a window; tornado is imported here, because only serving needs it."""
     import tornado.iostream
     import tornado.web
     import tornado.websocket
 
     class Door(tornado.web.RequestHandler):
-        def initialize(self, token: str) -> None:
-            self.token = token
-
         def prepare(self) -> None:
             if refused_request(self.request.headers, HOST):
                 raise tornado.web.HTTPError(http.client.FORBIDDEN)
-            if below(self.request.path, self.token) is None:
+            if below(self.request.path, token) is None:
                 raise tornado.web.HTTPError(http.client.NOT_FOUND)
 
     class Page(Door):
@@ -268,9 +268,13 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
                 while True:
                     await news.wait()
                     news.clear()
-                    for data in self.feed.take():
-                        # The call waits until the page can take the message.
-                        await self.write_message(data, binary=isinstance(data, bytes))
+                    commands, about = self.feed.take()
+                    for command in commands:
+                        await self.write_message(
+                            command_bytes(command), binary=True
+                        )  # waits until the page can take it
+                    if about:
+                        await self.write_message(as_json(about))
 
         def on_message(self, message: str | bytes) -> None:
             """Ignore messages from the page."""

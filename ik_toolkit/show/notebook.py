@@ -22,26 +22,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
-from ..robot.joints import Joints
 from .animation import numbered
-from .body import Body, DrawnShape
-from .feed import Feed
+from .body import DrawnShape
+from .feed import Feed, as_json, command_bytes
 from .live_page import thin
 from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
+from .scene_state import SceneState
 
 _standing: dict[str, Any] = {}  # the cell into which this kernel has written each shared part
 
 
-class InCell:
-    """Notebook methods of a scene: it displays itself, moves while it is displayed, and passes on dragged targets."""
+class InCell(SceneState):
+    """A scene in the cells of a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
 
-    robot: Joints
-    body: Body
-    window: Window
     channel: "Channel | None" = None
-    say: Callable[..., None]
-    look: Callable[..., None]
 
     def on_drag(self, call: Callable[[Any], Any]) -> None:
         """Let the targets be dragged in the cells of a live scene; `call` is called with the new targets.
@@ -144,14 +139,14 @@ def _shell() -> Any:
 
 def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) -> dict[str, str]:
     """Return the outputs of a cell for a Window: text/html, image/png (with matplotlib) and text/plain. The camera must be set."""
-    robots: dict[str, dict[str, bytes]] = {}
-    for path, command in window.objects.items():
+    robots: dict[str, dict[str, Any]] = {}
+    for path, drawn in window.objects.items():
         if path.count("/") > 1:  # ROBOT/PART/NUMBER
-            robots.setdefault(path.partition("/")[0], {})[path] = command
+            robots.setdefault(path.partition("/")[0], {})[path] = drawn
     shared = {path for robot in robots.values() for path in robot}
     rest = {path for path in (*window.objects, *window.copies, *window.transforms) if path not in shared}
     with window.lock:
-        blob, about = compressed(framed(window.snapshot(rest))), compressed(json.dumps(_short(window.about)).encode())
+        blob, about = compressed(framed(window.snapshot(rest))), compressed(as_json(_short(window.about)).encode())
         if channel is not None:
             channel.shown()
     code = (importlib.resources.files("ik_toolkit.show") / "cell" / "scene.js").read_text(encoding="utf-8")
@@ -198,20 +193,18 @@ def _cell_script() -> str:
     return "\n".join(line for line in lines if line) + "\n"
 
 
-def _meshes(robot: dict[str, bytes]) -> tuple[str, str]:
+def _meshes(drawn: dict[str, DrawnShape]) -> tuple[str, str]:
     """Return the meshes of a robot as a shared part of the notebook, simplified more than in a saved file (`save`).
 
     They have at most 16,000 triangles; vertices are rounded to 1/4096 of the robot's size, which compresses well and is invisible.
     """
-    whole, small, digest = Window(), Window(), hashlib.sha256()
-    whole.objects = robot
-    drawn = shapes_of(whole)
+    small, digest = Window(), hashlib.sha256()
     ends = np.array([end for one in drawn.values() for end in (one.vertices.min(axis=0), one.vertices.max(axis=0))])
     size = float(np.linalg.norm(np.ptp(ends, axis=0)))
     unit = 2.0 ** np.floor(np.log2(max(size, 1e-9) / 4096))
     for (path, one), (vertices, _, faces) in zip(drawn.items(), thin([*drawn.values()], size, 16_000), strict=True):
         rounded = (np.round(vertices / unit) * unit).astype(np.float32)
-        small.shape(path, DrawnShape(rounded, faces.astype(np.uint32), one.color, one.opacity))
+        small.draw(path, DrawnShape(rounded, faces.astype(np.uint32), one.color, one.opacity))
         digest.update(f"{path} {one.color} {one.opacity}".encode() + rounded.tobytes() + faces.tobytes())
     return digest.hexdigest()[:12], compressed(framed(small.snapshot()))
 
@@ -221,10 +214,9 @@ def _short(about: dict[str, Any]) -> dict[str, Any]:
     made = about["animation"]
     if not made:
         return about
-    values = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4")
-    unit = 2.0 ** np.floor(np.log2(max(float(np.abs(values).max()), 1e-9) / 16_384))
-    packed = base64.b64encode((np.round(values / unit) * unit).astype("<f4").tobytes()).decode()
-    return {**about, "animation": {**made, "data": packed}}
+    poses = made["data"]
+    unit = 2.0 ** np.floor(np.log2(max(float(np.abs(poses).max()), 1e-9) / 16_384))
+    return {**about, "animation": {**made, "data": np.round(poses / unit) * unit}}
 
 
 class Channel:
@@ -262,13 +254,12 @@ class Channel:
     def _run(self) -> None:
         while self.news.wait():
             self.news.clear()
-            self._send(self.feed.take())
+            self._send(*self.feed.take())
             time.sleep(0.03)  # at most some thirty pictures a second
 
-    def _send(self, messages: list[bytes | str]) -> None:
-        if messages:
-            about = [one for one in messages if isinstance(one, str)]
-            self.widget.send({"about": about}, [one for one in messages if isinstance(one, bytes)])
+    def _send(self, commands: list[dict[str, Any]], about: dict[str, Any]) -> None:
+        if commands or about:
+            self.widget.send({"about": [as_json(about)] if about else []}, [*map(command_bytes, commands)])
 
     def _heard(self, widget: Any, content: dict[str, Any], buffers: Any) -> None:
         """Take a message of a page: a cell was opened, or a target dragged."""
@@ -277,7 +268,7 @@ class Channel:
                 self.handle.update({"text/plain": ""}, raw=True)
                 self.handle = None
             with self.window.lock:
-                self._send(copy.copy(self.since).take())
+                self._send(*copy.copy(self.since).take())
         elif "drag" in content:
             try:
                 self.dragged(content["drag"], np.array(content["pose"], dtype=float).reshape(4, 4).T)

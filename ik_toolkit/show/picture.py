@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +18,9 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 from ..style import GREY, MUTED
 from .body import DrawnShape
-from .feed import ROOT
 from .live_page import normals
-from .meshcat_server import SHADE, Window
+from .meshcat_server import Cloud, Window
+from .plots import charts
 from .scene_state import css
 
 
@@ -84,10 +85,11 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
         for k in np.flatnonzero((seen > 0).all(axis=1) & (seen[:, :2] < (W, H)).all(axis=1)):
             yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # pixels per metre
 
-    for path, (points, colors, big) in clouds_of(window).items():
-        T, words = window.pose(path), [css(color) for color in colors]
-        for k, x, y, scale in inside(points @ T[:3, :3].T + T[:3, 3]):
-            pencil.ball(x, y, 0.5 * big * scale, words[k])
+    for path, cloud in window.objects.items():
+        if isinstance(cloud, Cloud):
+            T, words = window.pose(path), [css(color) for color in cloud.colors]
+            for k, x, y, scale in inside(cloud.points @ T[:3, :3].T + T[:3, 3]):
+                pencil.ball(x, y, 0.5 * cloud.size * scale, words[k])
     for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
         for _, x, y, scale in () if grip["turns"] else inside(window.pose(grip["name"])[None, :3, 3]):
             pencil.ball(x, y, grip["size"] * scale, css(grip["color"]))
@@ -105,47 +107,12 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
 
 
 def shapes_of(window: Window) -> dict[str, DrawnShape]:
-    """Return the triangles drawn in a Window, by path, including copies, with their original colours."""
-    import umsgpack  # comes with meshcat
-
-    found = {}
-    for path, (data, material, _) in _read(window.objects):
-        if "index" in data:
-            vertices, faces = _array(data["attributes"]["position"], "<f4"), _array(data["index"], "<u4")
-            found[path] = DrawnShape(vertices, faces, _color(material["color"], SHADE), material["opacity"])
-    for path, packed in window.copies.items():
-        told = umsgpack.unpackb(packed)
-        source = found.get(told["source"].removeprefix(ROOT))
-        if source is not None:
-            found[path] = DrawnShape(source.vertices, source.faces, _color(told["color"]), told["opacity"])
+    """Return the triangles drawn in a Window, by path, including copies."""
+    found = {path: drawn for path, drawn in window.objects.items() if isinstance(drawn, DrawnShape)}
+    for path, (source, color, opacity) in window.copies.items():
+        if source in found:
+            found[path] = replace(found[source], color=color, opacity=opacity)
     return found
-
-
-def clouds_of(window: Window) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
-    """Return the clouds of a Window by path: points (N, 3) [m], colours (N, 3) and size [m]."""
-    found = {}
-    for path, (data, material, kind) in _read(window.objects):
-        if kind == "Points":
-            points, colors = (_array(data["attributes"][key], "<f4") for key in ("position", "color"))
-            found[path] = points, colors, material["size"]
-    return found
-
-
-def _read(objects: dict[str, bytes]) -> Iterator[tuple[str, tuple[Any, Any, str]]]:
-    import umsgpack
-
-    for path, packed in objects.items():
-        told = umsgpack.unpackb(packed)["object"]
-        yield path, (told["geometries"][0]["data"], told["materials"][0], told["object"]["type"])
-
-
-def _array(told: Any, kind: str) -> np.ndarray:
-    return np.frombuffer(told["array"].data, dtype=kind).reshape(-1, 3)
-
-
-def _color(number: int, shade: float = 1.0) -> tuple[float, float, float]:
-    r, g, b = (min(1.0, (number >> shift & 255) / 255 / shade) for shift in (16, 8, 0))
-    return r, g, b
 
 
 class _Camera:
@@ -287,26 +254,18 @@ def _chart(pencil: _Pencil, curves: Any) -> None:
 
     Each curve has a name, a colour, pairs of iteration and error [m], and words, which the page alone shows.
     """
-    (W, H), sharp = pencil.image.size, pencil.sharp
-    left, right, top, bottom = 0.72 * W, 0.98 * W, 0.09 * H, 0.45 * H
-    drawn = [(name, color, np.maximum(errors, (0.0, 1e-9))) for name, color, errors, _ in curves]
-    last = max(1.0, *(errors[-1, 0] for _, _, errors in drawn))
-    logs = np.log10(np.concatenate([errors[:, 1] for _, _, errors in drawn]))
-    low, high = int(np.floor(logs.min())), int(np.ceil(logs.max() + 1e-9))
-    scale = np.array([(right - left) / last, (top - bottom) / (high - low)])
-    pencil.draw.rectangle((left, top, right, bottom), "white", "#8C8C8C")
-    for power in range(low, high + 1):
-        y = bottom + scale[1] * (power - low)
-        pencil.draw.line((left, y, right, y), "#d9dee4")
-        if power % max(1, (high - low) // 4) == 0:
-            pencil.text(left - 6, y, f"1e{power}", 7, at="rm")
-    for k, (name, color, errors) in enumerate(drawn):
-        line = np.array([left, bottom]) + scale * np.column_stack([errors[:, 0], np.log10(errors[:, 1]) - low])
-        pencil.draw.line([*line.ravel()], color, 2 * sharp, "curve")
-        pencil.text(right - 8, top + (10 + 13 * k) * sharp, name, 7, color, "rm")
-    pencil.text(left, top - 8 * sharp, "error [m]", 8)
-    pencil.text(left, bottom + 8 * sharp, "0", 7)
-    pencil.text(right, bottom + 8 * sharp, f"iteration {last:.0f}", 7, at="rm")
+    from PIL import Image
+
+    (W, H), stream = pencil.image.size, io.BytesIO()
+    scale = W / 7.6  # pixels of an inch
+    with charts(1, 1, (0.3 * W / scale, 0.45 * H / scale)) as (figure, axis):
+        for name, color, errors, _ in curves:
+            steps, left = np.transpose(errors)
+            axis.semilogy(steps, np.maximum(left, 1e-9), color=color, label=name)
+        axis.set(xlabel="iteration", title="error [m]")
+        axis.legend()
+        figure.savefig(stream, format="png", dpi=scale)
+    pencil.image.paste(Image.open(stream), (round(0.7 * W), 0))
 
 
 # ------------------------------------------------------------------------------------------------------------------ films

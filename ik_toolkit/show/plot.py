@@ -25,15 +25,17 @@ from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from ..text import length
-from .body import skeleton
 from .plots import (
     SUFFIXES,
+    charts,
     convergence,
     drawing,
     literal_text,
     plot_motion,
     plot_track,
+    raster,
     save,
+    skeletons,
     tracking_errors,
     two_views,
 )
@@ -101,11 +103,9 @@ def _needed(robot: Joints | None, what: str) -> Joints:
 def postures(q: Any, robot: Joints, target: Any = None) -> Any:
     """Draw the arm at q (n,) [rad or m], or at each q of a dict label -> q, as lines from the side and from above."""
     named = {str(label): one for label, one in q.items()} if isinstance(q, Mapping) else {"": q}
-    with drawing() as plt:
-        figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.6), layout="constrained")
+    with charts(1, 2, (8.2, 3.6)) as (figure, axes):
         for k, (label, one) in enumerate(named.items()):
-            one = robot.check_q(one)
-            arms = [skeleton(arm, one[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
+            arms = skeletons(robot, robot.check_q(one))
             for axis, keep in two_views(axes):
                 for number, points in enumerate(arms):
                     name = literal_text(label) if not number and label else None
@@ -126,9 +126,8 @@ def plot_benchmark(found: Benchmark) -> Any:
     """Draw, one row for each robot, the success rate with its 95 % interval, and the share of targets solved over time."""
     robots = found.by_robot()
     solvers = list(dict.fromkeys(row.solver for row in found.rows))  # A solver has the same colour everywhere.
-    with drawing() as plt:
-        height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
-        figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
+    height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
+    with charts(len(robots), 2, (9.0, height), squeeze=False) as (figure, axes):
         for (bars, times), (robot, rows) in zip(axes, robots.items(), strict=True):
             for k, row in enumerate(rows):
                 at = solvers.index(row.solver)
@@ -150,8 +149,7 @@ def plot_benchmark(found: Benchmark) -> Any:
 def plot_batch(batch: BatchResult) -> Any:
     """Draw the share of targets that were solved within so many iterations, and the errors of those that were not."""
     good = batch.success
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.2, 3.2), layout="constrained")
+    with charts(1, 1, (6.2, 3.2)) as (figure, axis):
         steps = np.maximum(np.sort(batch.iterations[good]), 1)
         share = 100.0 * np.arange(1, len(steps) + 1) / max(len(batch), 1)
         axis.step(np.append(steps, steps[-1:]), np.append(share, share[-1:]), where="post", color=COLOURS[0])
@@ -167,8 +165,7 @@ def plot_batch(batch: BatchResult) -> Any:
 
 def plot_least_rate(found: LeastRate) -> Any:
     """Draw the growth of a small error over the sample rate, with the bands of stable rates."""
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
+    with charts(1, 1, (6.2, 3.4)) as (figure, axis):
         for low, high in found.bands:
             axis.axvspan(low, high, color=COLOURS[0], alpha=0.15, lw=0)
         axis.loglog(found.rates, np.clip(found.growth, 1e-12, 1e12), color=COLOURS[0])
@@ -185,8 +182,7 @@ def plot_stability(chart: StabilityChart) -> Any:
     """Draw a StabilityChart. Raises InvalidOption if it has only one row or column."""
     if min(chart.per_step.shape) < 2:
         raise InvalidOption("a chart of stability needs at least two values of gain and two of samples to be drawn")
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.2, 4.2), layout="constrained")
+    with charts(1, 1, (6.2, 4.2)) as (figure, axis):
         figure.colorbar(stability_map(axis, chart), label="factor of a small error in a sample")
         axis.set_title(literal_text(f"{chart.robot} along '{chart.path}': {chart.method}"))
     return figure
@@ -210,9 +206,8 @@ def plot_calibration(found: Calibration) -> Any:
     """Draw the residuals of all measurements for the nominal and the corrected arm, and the errors with their 95 % intervals."""
     turns = {one.name: one.turns for one in found.unknowns}
     base = {one.name for one in found.unknowns if one.group == "base"}
-    with drawing() as plt:
-        height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))
-        figure, axes = plt.subplots(1, 3, figsize=(11.0, height), layout="constrained", width_ratios=(3, 2, 2))
+    height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))
+    with charts(1, 3, (11.0, height), width_ratios=(3, 2, 2)) as (figure, axes):
         rows, out = np.arange(len(found.after)), list(found.outliers)
         axes[0].semilogy(rows, 1e3 * found.before, "o", color=GREY, ms=3.5, label="as drawn")
         axes[0].semilogy(rows, 1e3 * found.after, "o", color=COLOURS[0], ms=3.5, label="corrected")
@@ -236,19 +231,17 @@ def plot_calibration(found: Calibration) -> Any:
 
 def plot_tuning(result: TuneResult) -> Any:
     """Draw the cost over generations, with the held-out result in the title."""
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
-        generation = np.arange(1, len(result.history) + 1)
-        axis.semilogy(generation, result.history[:, 2], color=GREY, lw=1, label="median of the generation")
-        axis.semilogy(generation, result.history[:, 1], color=COLOURS[1], lw=1, label="best of the generation")
-        axis.semilogy(generation, result.history[:, 0], color=COLOURS[0], lw=2, label="best so far")
+    with charts(1, 1, (6.2, 3.4)) as (figure, axis):
+        generation, (best, now, median) = np.arange(1, len(result.history) + 1), result.history.T[:3]
+        axis.semilogy(generation, median, color=GREY, lw=1, label="median of the generation")
+        axis.semilogy(generation, now, color=COLOURS[1], lw=1, label="best of the generation")
+        axis.semilogy(generation, best, color=COLOURS[0], lw=2, label="best so far")
         axis.set(xlabel="generation", ylabel="cost (1 = all targets fail)")
-        low, high = result.held_out.interval
-        before = f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before"
-        after = (
-            f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
+        before, after, low, high = (
+            1000 * x for x in (result.before.share, result.held_out.share, *result.held_out.interval)
         )
-        axis.set_title(literal_text(f"{before},\n{after}"))
+        words = f"{before:.1f} before,\n{after:.1f} [{low:.1f}, {high:.1f}] of 1000 held-out targets after"
+        axis.set_title(literal_text(f"{result.solver} on {result.robot}, {result.method}: {words}"))
         axis.legend(loc="upper right")
         return figure
 
@@ -259,29 +252,23 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
     The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for
     reference.
     """
-    arms = [skeleton(arm, robot.home[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
-    with drawing() as plt:
-        rows = len(found.outcomes)
-        figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
-        image, drawn = None, []
-        worst = 1.0  # [%] the least upper end of the colour scale
+    rows, drawn = len(found.outcomes), []
+    worst = 1.0  # [%] the least upper end of the colour scale
+    with charts(rows, 2, (7.4, 0.3 + 4.0 * rows), squeeze=False) as (figure, axes):
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
-            for axis, across, keep in ((row[0], 2, (0, 1)), (row[1], 1, (0, 2))):
-                targets, solved = found.map[name].sum(axis=1 + across)
+            few = outcome.targets - outcome.solved <= 200
+            bad = found.failures[name] if few else np.empty((0, 4))
+            ends = found.low + found.cell * np.array(found.map[name].shape[1:])
+            for axis, keep in two_views(row[::-1]):
+                targets, solved = found.map[name].sum(axis=4 - sum(keep))  # over the axis that is not kept
                 with np.errstate(invalid="ignore"):
                     rate = np.where(targets > 0, 100.0 * (1.0 - solved / targets), np.nan)
                 worst = max(worst, float(np.nanmax(rate)))
-                ends = found.low + found.cell * np.array(found.map[name].shape[1:])
-                extent = (found.low[keep[0]], ends[keep[0]], found.low[keep[1]], ends[keep[1]])
-                image = axis.imshow(rate.T, origin="lower", extent=extent, cmap="PuBu", interpolation="nearest")
-                drawn.append(image)
-                axis.grid(False)
-                for arm in arms:
-                    axis.plot(*arm[:, keep].T, color=COLOURS[6], lw=2.2, marker="o", ms=3.5)
-                few = outcome.targets - outcome.solved <= 200
-                bad = found.failures[name] if few else np.empty((0, 4))
-                axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
-                axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
+                drawn.append(raster(axis, rate, found.low[[*keep]], ends[[*keep]], cmap="PuBu"))
+                for points in skeletons(robot, robot.home):
+                    axis.plot(*points[:, keep].T, color=COLOURS[6], lw=2.2, marker="o", ms=3.5)
+                axis.plot(*bad[:, keep].T, "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
+                axis.set_aspect("equal")
             row[0].set_title(f"{literal_text(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
@@ -289,7 +276,7 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
             one.set_clim(-0.15 * worst, worst)
         scale = {"boundaries": np.linspace(0.0, worst, 101), "ticks": np.linspace(0.0, worst, 5)}
         shape = {"shrink": min(0.8, 1.6 / rows), "aspect": 30, "pad": 0.02}
-        figure.colorbar(image, ax=axes, label="failures [%]", **scale, **shape)
+        figure.colorbar(drawn[-1], ax=axes, label="failures [%]", **scale, **shape)
         return figure
 
 

@@ -44,6 +44,13 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
         plt.ion() if interactive else plt.ioff()
 
 
+@contextmanager
+def charts(rows: int, columns: int, size: tuple[float, float], **more: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield a figure of a size [inches] and its charts (or the only one), in this package's style."""
+    with drawing() as plt:
+        yield plt.subplots(rows, columns, figsize=size, layout="constrained", **more)
+
+
 def literal_text(text: str) -> str:
     """Escape text so that matplotlib draws it literally: text between two dollar signs would be typeset as a formula."""
     return text.replace("$", r"\$")
@@ -54,6 +61,18 @@ def two_views(axes: Sequence[Any]) -> Iterator[tuple[Any, tuple[int, int]]]:
     for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
         axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side)
         yield axis, (i, j)
+
+
+def skeletons(robot: Joints, q: np.ndarray) -> list[np.ndarray]:
+    """Return the points (K, 3) [m] of each arm at q (n,), in the base frame."""
+    return [skeleton(arm, q[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
+
+
+def raster(axis: Any, values: np.ndarray, low: Any, high: Any, **look: Any) -> Any:
+    """Draw values (X, Y) as coloured cells between two corners (2,) [m]; return what a colour bar takes."""
+    axis.grid(False)
+    extent = (low[0], high[0], low[1], high[1])
+    return axis.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **look)
 
 
 def save(figure: Any, path: str | Path) -> Path:
@@ -77,9 +96,8 @@ def convergence(runs: Any, *, title: str = "") -> Any:
     for label, run in named.items():
         if run.history is None:
             raise InvalidOption(f"the result {label!r} has no history: solve with history=True")
-    with drawing() as plt:
-        size = (min(11.0, 2.0 + 2.6 * len(named)) if len(named) > 1 else 5.6, 3.3)
-        figure, axes = plt.subplots(1, len(named), figsize=size, sharey=True, squeeze=False, layout="constrained")
+    size = (min(11.0, 2.0 + 2.6 * len(named)) if len(named) > 1 else 5.6, 3.3)
+    with charts(1, len(named), size, sharey=True, squeeze=False) as (figure, axes):
         for k, (axis, (label, run)) in enumerate(zip(axes[0], named.items(), strict=True)):
             won, others = attempts(run.history, run.q)
             drawn, angle = (np.maximum(run.history[key], FLOOR) for key in ("position_error", "orientation_error"))
@@ -130,9 +148,7 @@ def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.n
 def tracking_errors(runs: Mapping[Any, TrackResult]) -> Any:
     """Draw position and orientation error over time of each TrackResult of a dict, on logarithmic scales."""
     turning = any(run.orientation_error is not None for run in runs.values())
-    with drawing() as plt:
-        size = (6.2, 2.4 + 1.9 * turning)
-        figure, axes = plt.subplots(1 + turning, 1, figsize=size, sharex=True, squeeze=False, layout="constrained")
+    with charts(1 + turning, 1, (6.2, 2.4 + 1.9 * turning), sharex=True, squeeze=False) as (figure, axes):
         for k, (label, run) in enumerate(runs.items()):
             style = {"color": COLOURS[k % 8], "ls": DASHES[k % 8], "lw": 1.3}
             axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=literal_text(str(label)), **style)
@@ -155,8 +171,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
         grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), wspace=0.1)
         _path_panel(figure.add_subplot(grid[:, 0], projection="3d"), result, robot)
         right = grid[:, 1].subgridspec(3 + slowed, 1, height_ratios=(1.0, 1.0, 1.0, 0.6)[: 3 + slowed])
-        axes = [figure.add_subplot(right[0])]
-        axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in range(1, 3 + slowed)]
+        axes = right.subplots(sharex=True)
         _errors(axes[0], result)
         _joints(axes[1], robot, result.joint_names, result.t, result.q, [])
         axes[1].set_ylim(-1.15, 1.15)
@@ -164,8 +179,6 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
         _speeds(axes[2], result, robot)
         if slowed:
             _clock(axes[3], result)
-        for ax in axes[:-1]:
-            ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
         for columns in range(COLUMNS, 0, -1):  # as many columns as fit; names may be long
@@ -184,18 +197,16 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     from matplotlib.ticker import MaxNLocator
 
     count = len(result.t)
-    arms = [*zip(robot.arms, robot.places, strict=True)]
     for i, shade in ((0, "#C8C8C8"), (count // 2, "#969696"), (count - 1, "#4D4D4D")):
-        for arm, place in arms:
-            ax.plot(*skeleton(arm, result.q[i][place]).T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
+        for points in skeletons(robot, result.q[i]):
+            ax.plot(*points.T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
     ways, wanted = (array.reshape(count, -1, 3) for array in (result.xyz, result.target_xyz))
     for k in range(ways.shape[1]):
         names = ("", "", "") if k else ("target", "tip", "start")
         ax.plot(*wanted[:, k].T, color=COLOURS[6], lw=0.9, ls="--", label=names[0], zorder=3)
         ax.plot(*ways[:, k].T, color=COLOURS[1], lw=2.0, label=names[1], zorder=2)
         ax.plot(*ways[:1, k].T, color=COLOURS[1], marker="s", ms=5, ls="", label=names[2], zorder=4)
-    first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
-    corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
+    corners = np.vstack([*skeletons(robot, result.q[0]), ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a planar arm still gets a box with some depth
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
@@ -247,9 +258,7 @@ def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
 def plot_motion(what: Any) -> Any:
     """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
     timed = hasattr(what, "dq")
-    with drawing() as plt:
-        size = (8.6, 7.2 if timed else 5.6)
-        figure, axes = plt.subplots(3 if timed else 2, 1, figsize=size, sharex=True, layout="constrained")
+    with charts(3 if timed else 2, 1, (8.6, 7.2 if timed else 5.6), sharex=True) as (figure, axes):
         x = what.t if timed else what.at
         breaks = [] if timed else [one.index + 0.5 for one in what.reconfigurations]
         _joints(axes[0], what.robot, what.robot.joint_names, x, what.q if timed else what.curve, breaks)
@@ -263,8 +272,7 @@ def plot_motion(what: Any) -> Any:
                 _lines(ax, x, 100.0 * values / limit, what.robot.joint_names)
                 ax.set_title(title)
                 ax.set_ylim(-112.0, 112.0)
-                ax.axhline(100.0, color=GREY, lw=0.8)
-                ax.axhline(-100.0, color=GREY, lw=0.8)
+                _edges(ax, -100.0, 100.0)
             for ax in axes if free.any() else ():
                 ax.fill_between(x, 0, 1, where=free, transform=ax.get_xaxis_transform(), color=PALE, lw=0)
             axes[-1].set_xlabel("time [s]" + (" (grey: from one branch to the other)" if free.any() else ""))
@@ -283,6 +291,11 @@ def _lines(ax: Any, x: np.ndarray, values: np.ndarray, names: Sequence[str]) -> 
         ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=literal_text(name))
 
 
+def _edges(ax: Any, *heights: float) -> None:
+    for y in heights:
+        ax.axhline(y, color=GREY, lw=0.8)
+
+
 def _joints(
     ax: Any, robot: Joints, names: Sequence[str], x: np.ndarray, Q: np.ndarray, breaks: Sequence[float]
 ) -> None:
@@ -294,8 +307,7 @@ def _joints(
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
     _lines(ax, x, shown, names)
-    for edge in (-1, 1):
-        ax.axhline(edge, color=GREY, lw=0.8)
+    _edges(ax, -1.0, 1.0)
     for k in breaks:
         ax.axvline(k, color=GREY, lw=0.9, ls=":")
     ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
@@ -312,7 +324,7 @@ def _deviation(ax: Any, result: Any) -> None:
             ax.stairs(values / most, result.at, color=colour, ls=dash, lw=1.3, label=name, baseline=None)
     for contact in proof.contacts:
         ax.axvline(contact.place, color=COLOURS[1], lw=1.0)
-    ax.axhline(1.0, color=GREY, lw=0.8)
+    _edges(ax, 1.0)
     ax.set_ylim(bottom=0.0)
     ax.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, 1.16), ncols=2)
     ax.set_title("bound on the deviation between poses, in tolerances")

@@ -9,7 +9,8 @@ from ..errors import InvalidOption
 from ..study.place import Placements
 from ..study.reachability_map import Reach, ReachabilityMap
 from ..style import COLOURS, GREY, PALE
-from .plots import drawing, literal_text, two_views
+from .meshcat_server import Cloud
+from .plots import charts, literal_text, raster, two_views
 from .scene_state import css
 
 SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))  # corners of a box's sides
@@ -24,42 +25,38 @@ def plot_map(found: ReachabilityMap) -> Any:
     total = found.states.size
     share = {name: f"{100 * count / total:.3g} %" for name, count in found.counts().items()}
     words = f"{share['yes']} of {total:,} answers reached, {share['no']} proven no, {share['unknown']} not found, not proven"
-    with drawing() as plt:
-        figure = (_planes if found.grid.poses is None else _loose)(plt, found)
-        text = [f"{found.robot}, {found.tip}: {words}", str(found.audit)]
-        lines = [line for one in text for line in textwrap.wrap(one, int(15 * figure.get_figwidth()))]
-        figure.suptitle(literal_text("\n".join(lines)), x=0.01, ha="left", fontsize=8.5)
+    figure = _planes(found) if found.grid.poses is None else _loose(found)
+    text = [f"{found.robot}, {found.tip}: {words}", str(found.audit)]
+    lines = [line for one in text for line in textwrap.wrap(one, int(15 * figure.get_figwidth()))]
+    figure.suptitle(literal_text("\n".join(lines)), x=0.01, ha="left", fontsize=8.5)
     return figure
 
 
-def _planes(plt: Any, found: ReachabilityMap) -> Any:
+def _planes(found: ReachabilityMap) -> Any:
     grid = found.grid
     what = "share" if grid.turns > 1 else "manipulability"
-    planes = (("z", 0, 1, "from above"), ("y", 0, 2, "from the side"), ("x", 1, 2, "from the front"))
+    planes = ((2, 0, 1, "from above"), (1, 0, 2, "from the side"), (0, 1, 2, "from the front"))
     drawn = [one for one in planes if all(grid.size[k] > 0.0 for k in one[1:3])] or [planes[0]]
-    size = (max(4.6, 3.3 * len(drawn)), 4.2)
-    figure, axes = plt.subplots(1, len(drawn), figsize=size, layout="constrained", squeeze=False)
     top = 1.0 if what == "share" else max(float(found.manipulability.max(initial=0.0)), 1e-12)
     open_ = ((found.states >= Reach.FEW).any(axis=1) & ~(found.states == Reach.YES).any(axis=1)).reshape(grid.shape)
-    middle = _middle(found)
-    for axis, (across, i, j, side) in zip(axes[0], drawn, strict=True):
-        values, at = found.slice(across, middle["xyz".index(across)], what)
-        k = "xyz".index(across)
-        row = 0 if grid.size[k] == 0.0 else round((at - grid.low_centre[k]) / grid.size[k])
-        unknown = np.take(open_, row, axis=k)
-        size = np.where(grid.size > 0.0, grid.size, max(float(grid.size.max()), 1e-3))
-        ends = np.array([grid.low, grid.low + size * grid.shape])
-        box = {"origin": "lower", "extent": (*ends[:, i], *ends[:, j]), "interpolation": "nearest"}
-        axis.imshow(np.where(unknown, 0.0, np.nan).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
-        image = axis.imshow(np.where(values > 0.0, values, np.nan).T, cmap="viridis", vmin=0.0, vmax=top, **box)
-        axis.grid(False)
-        flat = f"{across} = {at:.3g} m" if grid.size[k] > 0.0 else f"{across} = {grid.low[k]:.3g} m"
-        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{side}, {flat}", aspect="equal")
-    for colour, label in (("0.925", "not found, not proven"), ("white", "proven out of reach")):
-        axes[0, 0].fill([], [], facecolor=colour, edgecolor="0.6", lw=0.5, label=label)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
-    label = "share of orientations reached" if what == "share" else "manipulability"
-    figure.colorbar(image, ax=axes, label=label, shrink=0.7, aspect=25, pad=0.02)
+    middle, low = _middle(found), np.array(grid.low)
+    high = low + np.where(grid.size > 0.0, grid.size, max(float(grid.size.max()), 1e-3)) * grid.shape
+    with charts(1, len(drawn), (max(4.6, 3.3 * len(drawn)), 4.2), squeeze=False) as (figure, axes):
+        for axis, (k, i, j, side) in zip(axes[0], drawn, strict=True):
+            values, at = found.slice("xyz"[k], middle[k], what)
+            row = 0 if grid.size[k] == 0.0 else round((at - grid.low_centre[k]) / grid.size[k])
+            at = at if grid.size[k] > 0.0 else grid.low[k]
+            ends = low[[i, j]], high[[i, j]]
+            unknown = np.where(np.take(open_, row, axis=k), 0.0, np.nan)
+            raster(axis, unknown, *ends, cmap="Greys", vmin=-0.17, vmax=1.0)
+            image = raster(axis, np.where(values > 0.0, values, np.nan), *ends, cmap="viridis", vmin=0.0, vmax=top)
+            title = f"{side}, {'xyz'[k]} = {at:.3g} m"
+            axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title, aspect="equal")
+        for colour, label in (("0.925", "not found, not proven"), ("white", "proven out of reach")):
+            axes[0, 0].fill([], [], facecolor=colour, edgecolor="0.6", lw=0.5, label=label)
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+        label = "share of orientations reached" if what == "share" else "manipulability"
+        figure.colorbar(image, ax=axes, label=label, shrink=0.7, aspect=25, pad=0.02)
     return figure
 
 
@@ -71,15 +68,15 @@ def _middle(found: ReachabilityMap) -> np.ndarray:
     return found.grid.low_centre + found.grid.size * np.round(at.mean(axis=0))
 
 
-def _loose(plt: Any, found: ReachabilityMap) -> Any:
-    figure, axes = plt.subplots(1, 2, figsize=(8.2, 4.0), layout="constrained")
+def _loose(found: ReachabilityMap) -> Any:
     at, yes, no = found.grid.centres(), found.reached.ravel(), (found.states == Reach.NO).ravel()
     kinds = (~yes & ~no, GREY, "not found, not proven"), (no, PALE, "proven out of reach"), (yes, COLOURS[0], "reached")
-    for axis, (i, j) in two_views(axes):
-        for some, colour, label in kinds:
-            axis.plot(at[some, i], at[some, j], ".", ms=2, color=colour, label=label, rasterized=True)
-        axis.set_aspect("equal")
-    axes[0].legend(loc="upper left", markerscale=4)
+    with charts(1, 2, (8.2, 4.0)) as (figure, axes):
+        for axis, (i, j) in two_views(axes):
+            for some, colour, label in kinds:
+                axis.plot(at[some, i], at[some, j], ".", ms=2, color=colour, label=label, rasterized=True)
+            axis.set_aspect("equal")
+        axes[0].legend(loc="upper left", markerscale=4)
     return figure
 
 
@@ -108,8 +105,7 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     used = np.unique(plane[yes])
     for k in used:
         some = yes & (plane == k)
-        scene.window.points(f"cells/{k}", points[some], colours[some], big)
-        scene._boxes[f"cells/{k}"] = np.array([points[some].min(axis=0), points[some].max(axis=0)])
+        scene._draw(f"cells/{k}", Cloud(points[some], colours[some], big), points[some])
         scene._shown.add(f"cells/{k}")
     what = "share of orientations reached" if found.grid.turns > 1 else "manipulability"
     ends = ((0.0, "low"), (1.0, "high"))
@@ -148,23 +144,19 @@ def plot_places(found: Placements) -> Any:
     best = np.full(sides, np.nan)
     cell = np.minimum(((bases[:, :2] - low) / wide).astype(int), sides - 1)
     np.fmax.at(best, (cell[:, 0], cell[:, 1]), shares)
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.6, 5.2), layout="constrained")
-        extent = (low[0], low[0] + wide * sides[0], low[1], low[1] + wide * sides[1])
-        box = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
-        axis.imshow(np.where(best > 0.0, np.nan, best).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
-        image = axis.imshow(np.where(best > 0.0, best, np.nan).T, cmap="viridis", vmin=0.0, **box)
+    with charts(1, 1, (6.6, 5.2)) as (figure, axis):
+        ends = low, low + wide * sides
+        raster(axis, np.where(best > 0.0, np.nan, best), *ends, cmap="Greys", vmin=-0.17, vmax=1.0)
+        image = raster(axis, np.where(best > 0.0, best, np.nan), *ends, cmap="viridis", vmin=0.0)
         for k, corners in enumerate(found.obstacles[..., :2]):
             for j, side in enumerate(SIDES):  # The sides of a box, seen from above, together cover its outline.
                 axis.fill(*corners[list(side)].T, color=COLOURS[3], lw=0, label=None if k + j else "obstacles")
         axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
         for k, one in enumerate(found):
             end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])
-            axis.annotate(
-                "", (one.x + end[0], one.y + end[1]), (one.x, one.y), arrowprops={"arrowstyle": "->", "lw": 1.6}
-            )
+            arrow = {"arrowstyle": "->", "lw": 1.6}
+            axis.annotate("", (one.x + end[0], one.y + end[1]), (one.x, one.y), arrowprops=arrow)
             axis.plot(one.x, one.y, "o", ms=4 if k else 7, color="black", mfc="white", label=None if k else "places")
-        axis.grid(False)
         axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
         axis.fill([], [], color="0.925", label="none reached")
         figure.legend(loc="outside lower center", ncols=4, frameon=False)

@@ -17,16 +17,16 @@ from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, mapped, primitive, revolved, standing, tube
 from .feed import Guest
-from .meshcat_server import Window, write_page
+from .meshcat_server import Cloud, Window, write_page
 from .notebook import InCell, PageInCell
-from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
+from .scene_state import Color, css, read_color, read_opacity, read_text
 
 RED = (0.80, 0.20, 0.15)
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours of x, y and z axes
 MAX_GHOSTS = 12
 
 
-class Scene(InCell, SceneState):
+class Scene(InCell):
     """The drawing of a robot and of what is around it. Poses are in the robot's base axes [m], joint values as in `robot`.
 
     Everything has a name, by which it is moved, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
@@ -62,8 +62,7 @@ class Scene(InCell, SceneState):
         self._put("robot", self._poses("robot", rows[:1]), (None, None))
         for k, T in enumerate(self.body.tips(rows[0])):
             name = numbered("tip", k)
-            size = self._marks[name][-1] if name in self._marks else 0.09 * self._extent()
-            self.frame(np.linalg.inv(self.body.T_world_base) @ T, name, size)
+            self.frame(np.linalg.inv(self.body.T_world_base) @ T, name, self._size(name, 0.09))
             if several:
                 self.name(name, self.robot.tips[k], below=True)
         with self._with_result():
@@ -72,8 +71,8 @@ class Scene(InCell, SceneState):
             self._around = around
             animation.draw_result(self, what, motion)
             for name, (tip, T) in targets.items():
-                size = self._marks[name][-1] if name in self._marks else 0.14 * self._extent()
-                self.frame(T, name, size, label="" if name != "target" else "targets" if several else "target")
+                label = "" if name != "target" else "targets" if several else "target"
+                self.frame(T, name, self._size(name, 0.14), label)
                 if several:
                     self.name(name, f"target of {tip}")
             if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
@@ -84,6 +83,10 @@ class Scene(InCell, SceneState):
             if cloud is not None:
                 self.cloud(points, success)
         self._captioned = self.window.about["lines"] is not lines
+
+    def _size(self, name: str, share: float) -> float:
+        """Return the size [m] of a drawn frame, or for a new one a share of the scene's."""
+        return self._marks[name][-1] if name in self._marks else share * self._extent()
 
     def show(
         self, q: Any, name: str = "robot", color: Color | None = None, opacity: float | None = None, label: str = ""
@@ -150,6 +153,7 @@ class Scene(InCell, SceneState):
             InvalidOption, InvalidConfiguration, InvalidTarget: An argument is wrong.
         """
         color, opacity, label = read_color(color), read_opacity(opacity), read_text(label, "label")
+        name = None if name is None else read_text(name, "name")
         if isinstance(what, CollisionModel):
             animation.draw_obstacles(self, what, name or "obstacle")
             return name or "obstacle"
@@ -163,26 +167,28 @@ class Scene(InCell, SceneState):
             self._bodies[name] = body, self.body.T_world_base @ T @ np.linalg.inv(body.T_world_base)
             self._put(name, self._poses(name, q[None]), (color, opacity))
         else:
-            T = as_matrix(np.zeros(3) if at is None else at)
-            drawn = drawn_shape(what, color or OBSTACLE, 0.75 if opacity is None else opacity)
-            self._clear(name)
-            self.window.shape(name, drawn)
-            self.window.place(name, self.body.T_world_base @ T)
-            self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
+            self._shape(what, np.zeros(3) if at is None else at, name, color, opacity)
         if label:
             self._say(name, (css(color or (SLATE if name in self._bodies else OBSTACLE)), label))
         return name
 
+    def _shape(self, shape: Any, at: Any, name: str, color: Any = None, opacity: float | None = None) -> None:
+        T, drawn = as_matrix(at), drawn_shape(shape, color or OBSTACLE, 0.75 if opacity is None else opacity)
+        self._clear(name)
+        self.window.draw(name, drawn)
+        self.window.place(name, self.body.T_world_base @ T)
+        self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
+
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
-        (target, free), label = self._target(T_base), read_text(label, "label")
+        (target, free), label, name = self._target(T_base), read_text(label, "label"), read_text(name, "name")
         size = 0.14 * self._extent() if size is None else positive(size, "size")
         mark, T = (target.ndim, tuple(T_base.axis) if free else (), size), self.body.T_world_base @ as_matrix(target)
         if self._marks.get(name) != mark:
             self._clear(name)
             self._marks[name] = mark
             for k, shape in enumerate(_axes(T_base.axis if free else None, target.ndim == 1, size)):
-                self.window.shape(f"{name}/{k}", shape)
+                self.window.draw(f"{name}/{k}", shape)
         self.window.place(name, T)
         if not self._see(name, T[None, :3, 3]):
             label = label and f"{label} (outside the picture)"
@@ -209,24 +215,20 @@ class Scene(InCell, SceneState):
         self, points: Any, name: str = "trail", color: Color = ORANGE, radius: float | None = None, label: str = ""
     ) -> None:
         """Draw the path of a tip through points (N, 3) [m]."""
+        self._trail(points, read_text(name, "name"), color, radius, label)
+
+    def _trail(self, points: Any, name: str, color: Any, radius: float | None, label: str = "") -> None:
         P, color, label = self._world(points), read_color(color) or ORANGE, read_text(label, "label")
         wide = 0.005 * self._extent() if radius is None else positive(radius, "radius")
-        self._clear(name)
-        self.window.shape(name, tube(P, wide, color))
-        self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
-        if label:
-            self._say(name, (css(color), label))
+        self._draw(name, tube(P, wide, color), P, (css(color), label))
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
         """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
-        P, good = self._cloud(points, success)
+        (P, good), name = self._cloud(points, success), read_text(name, "name")
         size = 0.012 * self._extent() if size is None else positive(size, "size")
-        self._clear(name)
-        self.window.points(name, P, np.where(good[:, None], BLUE, ORANGE), size)
-        self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
-        if success is not None:
-            reached = css(BLUE), f"reached: {good.sum()} of {len(good)}"
-            self._say(name, reached, (css(ORANGE), "not reached"))
+        drawn = Cloud(P, np.where(good[:, None], BLUE, ORANGE), size)
+        known = [(css(BLUE), f"reached: {good.sum()} of {len(good)}"), (css(ORANGE), "not reached")]
+        self._draw(name, drawn, P, *(known if success is not None else []))
 
     # ------------------------------------------------------------------------------------------------- animations
     def animate(

@@ -12,8 +12,8 @@ from ..copying import Unique
 from ..errors import InvalidOption, floats, near_match
 from ..robot.joints import Joints
 from ..validate import number
-from .body import Body, grid_cell
-from .meshcat_server import Window
+from .body import Body, DrawnShape, grid_cell
+from .meshcat_server import Cloud, Copy, Window
 
 FAR = 3.0  # [scene sizes] The camera does not move back for objects that are farther away or larger than this.
 
@@ -48,9 +48,11 @@ def read_opacity(opacity: Any) -> float | None:
 
 
 def read_text(text: Any, what: str) -> str:
-    """Return text. Raises InvalidOption for anything else, and for an empty name."""
-    if not isinstance(text, str) or (what == "name" and not text.strip("/")):
+    """Return text. Raises InvalidOption for anything else, and for a name that is empty or has a slash."""
+    if not isinstance(text, str) or (what == "name" and not text):
         raise InvalidOption(f"{what} must be text, not {text!r:.60}")
+    if what == "name" and "/" in text:
+        raise InvalidOption(f"a name has no '/', which leads to the parts of a drawing; got {text!r:.60}")
     return text
 
 
@@ -90,10 +92,9 @@ class SceneState(Unique):
 
         Raises InvalidOption if there is nothing of this name.
         """
-        name = read_text(name, "name")
         found = [one for one in self._boxes if one == name or one.startswith(f"{name}/")]
         if not found:
-            raise InvalidOption(f"nothing named '{name:.60}' is drawn.{near_match(name, self._boxes)}")
+            raise InvalidOption(f"nothing named '{name!s:.60}' is drawn.{near_match(name, self._boxes)}")
         if self.window.about["animation"] is not None and name in self._placed:
             self._stop()
         for one in found:
@@ -107,11 +108,19 @@ class SceneState(Unique):
             movable = [one for one in self._boxes if one in self.window.transforms]
             raise InvalidOption(f"no frame or shape named '{name!s:.60}' is drawn.{near_match(name, movable)}")
 
-    def _clear(self, name: Any) -> None:
+    def _clear(self, name: str) -> None:
         """Remove what is drawn under a name, before it is drawn anew. Raises InvalidOption for the scene's own robot."""
-        if read_text(name, "name") == "robot":
+        if name == "robot":
             raise InvalidOption("'robot' is the name of the scene's robot: give another name")
         self._drop(name)
+
+    def _draw(self, name: str, drawn: DrawnShape | Cloud, points: np.ndarray, *entries: tuple[str, str]) -> None:
+        """Draw something that surrounds points (N, 3) [m], world axes, and its legend entries without empty labels."""
+        self._clear(name)
+        self.window.draw(name, drawn)
+        self._boxes[name] = np.array([points.min(axis=0), points.max(axis=0)])
+        if entries := tuple(one for one in entries if one[1]):
+            self._say(name, *entries)
 
     def _drop(self, name: str) -> None:
         self.window.delete(name)
@@ -175,11 +184,10 @@ class SceneState(Unique):
                     if drawn[p]:
                         self.window.delete(path)
                     elif color is not None and name not in self._bodies and source in self.window.objects:
-                        self.window.copy(path, source, color, opacity)
+                        self.window.draw(path, Copy(source, color, opacity))
                     else:
-                        self.window.shape(
-                            path, replace(shape, color=color or shape.color, opacity=opacity * shape.opacity)
-                        )
+                        look = {"color": color or shape.color, "opacity": opacity * shape.opacity}
+                        self.window.draw(path, replace(shape, **look))
             self._parts[name] = wanted
 
     def _stop(self) -> None:

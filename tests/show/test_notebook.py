@@ -106,10 +106,10 @@ def test_the_picture_shows_each_thing_where_it_is():
     for name, y, x, color in (("near", 0.6, 0.0, (1, 0, 0)), ("far", 1.2, -4.0, (0, 0, 1))):
         T = np.eye(4)
         T[:2, 3] = x, y
-        window.shape(f"{name}/0", DrawnShape(vertices, faces, color))
+        window.draw(f"{name}/0", DrawnShape(vertices, faces, color))
         window.place(name, T)
     wall = np.array([(-6, -40, -40), (-6, 40, -40), (-6, 40, 40), (-6, -40, 40)], dtype=np.float32)
-    window.shape("wall/0", DrawnShape(wall, np.array([(0, 2, 3), (0, 1, 2)], dtype=np.uint32), (0, 1, 0)))
+    window.draw("wall/0", DrawnShape(wall, np.array([(0, 2, 3), (0, 1, 2)], dtype=np.uint32), (0, 1, 0)))
     window.place("wall", np.eye(4))
     drawn = pixels(picture(window))
     assert (drawn[:, :, 1] > 0.3).mean() > 0.8
@@ -151,8 +151,7 @@ def test_animations_stay_true_to_a_millimetre():
     robot = ik.Robot.load("hydrolek_7w")
     target = robot.fk(robot.random_q(np.random.default_rng(3)))
     scene = ik.view(robot, ik.solve(robot, target, "dls", history=True), target=target)
-    data = [about["animation"]["data"] for about in (scene.window.about, notebook._short(scene.window.about))]
-    exact, short = (np.frombuffer(base64.b64decode(one), dtype="<f4") for one in data)
+    exact, short = (a["animation"]["data"] for a in (scene.window.about, notebook._short(scene.window.about)))
     assert 0.0 < np.abs(exact - short).max() < 2e-4
 
 

@@ -177,6 +177,14 @@ def test_a_new_box_is_clear_of_arm_targets_and_other_boxes(desk):
         around.clear()
 
 
+def test_a_target_of_rounded_digits_leaves_its_handle_its_size(desk):
+    handle = desk.stage.handles[0]
+    size = handle.gizmo.scale
+    handle.put(desk.session.poses()["tool"].round(6))  # not quite a rotation
+    assert handle.gizmo.scale == size > 0.01 and np.isclose(np.linalg.norm(handle.gizmo.wxyz), 1.0, atol=1e-9)
+    desk.around.add()
+
+
 def test_names_of_objects_are_never_used_twice(desk):
     """A page puts a new object where an earlier one of its name was."""
     seen = set()
@@ -231,7 +239,7 @@ def test_every_joint_of_every_solution_is_listed_with_its_unit(desk):
     desk._dragged()  # of another target, perhaps: the list and its ghost are gone
     assert not desk.found.folder.visible and not any(one.visible for one in desk.stage.shade)
     for i, name in enumerate(session.robot.joint_names):
-        row = text.partition(f"{name} [deg]</th>")[2].partition("</tr>")[0]
+        row = text.partition(f"{name} [deg]</td>")[2].partition("</tr>")[0]
         shown = [float(x) for x in re.findall(r">(-?[\d.]+)</td>", row)]
         assert np.allclose(shown, np.degrees([q[i] for q in session.solutions]), atol=0.0051)
 

@@ -1,6 +1,7 @@
 """A visitor of the panel: one thread that runs its requests, newest first, undo, error messages, and camera control."""
 
 import html
+import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -21,39 +22,32 @@ class Worker:
         """Start the thread."""
         self.ended = False
         self._jobs: dict[str, Callable[[], None]] = {}
-        self._wake = threading.Condition()
-        self._busy = False
+        self._names: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
 
     def post(self, name: str, job: Callable[[], None]) -> None:
         """Queue a job under a name."""
-        with self._wake:
-            self._jobs[name] = job
-            self._wake.notify_all()
+        self._jobs[name] = job
+        self._names.put(name)
 
     def _run(self) -> None:
         while True:
-            with self._wake:
-                self._busy = False
-                self._wake.notify_all()
-                self._wake.wait_for(lambda: self._jobs or self.ended)
-                if self.ended:
-                    self._jobs.clear()  # waiting jobs refer to the visitor's scene
-                    return
-                job = self._jobs.pop(next(iter(self._jobs)))
-                self._busy = True
-            job()
+            name = self._names.get()
+            if self.ended:
+                self._jobs.clear()  # waiting jobs refer to the visitor's scene
+                return
+            self._jobs.pop(name, lambda: None)()  # A job that replaced another one runs in its place, and only there.
+            self._names.task_done()
 
     def idle(self, timeout: float = 30.0) -> bool:
         """Wait until all jobs are done; return whether they are."""
-        with self._wake:
-            return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
+        with self._names.all_tasks_done:
+            return self._names.all_tasks_done.wait_for(lambda: not self._names.unfinished_tasks, timeout)
 
     def end(self) -> None:
         """End the thread after the current job."""
-        with self._wake:
-            self.ended = True
-            self._wake.notify_all()
+        self.ended = True
+        self._names.put("")
 
 
 KEPT = 100  # largest number of changes that can be undone
@@ -83,9 +77,16 @@ class Past:
 
 
 PLAIN = "#37424f"
+QUIET = (71, 85, 105)  # colour of secondary buttons
 LONGEST = 600  # largest number of characters of a status message
 STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.Picture */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
+
+
+def empty(folder: Any) -> None:
+    """Remove all controls of a folder."""
+    for child in list(folder._children.values()):
+        child.remove()
 
 
 class Visit:
@@ -97,18 +98,15 @@ class Visit:
         """Build the first robot's controls in the visitor's own thread."""
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
-        self.chart: Any = None
-        self.found: Any = None
+        # Controls that not every page has.
+        self.chart = self.found = self.around = self.learn = self.status = None
         self.aspect = 0.0  # width over height of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
         self.live, self.frames = True, False
         self.past = Past()
-        self.around: Any = None
-        self.learn: Any = None
         self.goals: list[Goal] = []
-        self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
         if hasattr(client, "camera"):  # a server, unlike a client, has no camera
@@ -134,14 +132,33 @@ class Visit:
 
         return run
 
-    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Run a job when the visitor changes or clicks a control, but not when this program changes it."""
+    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> Any:
+        """Run a job when the visitor changes or clicks a control, but not when this program does; return the control."""
         listen = getattr(handle, "on_click", None) or handle.on_update
 
         @listen
         def _(event: Any) -> None:
             if event.client is not None:
                 self._post(name, job)
+
+        return handle
+
+    def _ask(self, handle: Any, name: str, job: Callable[[Any], None]) -> Any:
+        """Run a job with the new value of a control when the visitor changes it; return the control."""
+        return self._on(handle, name, lambda: job(handle.value))
+
+    def _button(
+        self, text: str, name: str, job: Callable[[], None], color: Any = QUIET, hint: str | None = None
+    ) -> Any:
+        """Add a button that runs a job; return it."""
+        return self._on(self.gui.add_button(text, color=color, hint=hint), name, job)
+
+    def _dialog(self, title: str, content: str) -> None:
+        """Show HTML in a window of its own with a button that closes it."""
+        modal = self.gui.add_modal(title)
+        with modal:
+            self.gui.add_html(content)
+            self.gui.add_button("Close").on_click(lambda _: modal.close())
 
     def _post(self, name: str, job: Callable[[], None]) -> None:
         """Queue a visitor's job, and record the state before it in case it moves the robot."""

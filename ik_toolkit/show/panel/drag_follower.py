@@ -38,28 +38,11 @@ class Hand:
     """
 
     def __init__(
-        self,
-        robot: Any,
-        q: np.ndarray,
-        *,
-        tolerance: float,
-        limits: bool = True,
-        avoid_collisions: Any = False,
-        reconfigure: bool = True,
+        self, robot: Any, q: np.ndarray, *, tolerance: float, reconfigure: bool = True, **options: Any
     ) -> None:
         """Start at rest at q."""
-        self.robot = robot
-        self.options = {"tolerance": tolerance, "limits": limits, "avoid_collisions": avoid_collisions}
-        self._tracker = Tracker(
-            robot,
-            "cv",
-            q0=q,
-            rate0=np.zeros(robot.n),
-            limits=limits,
-            on_limit="direct",
-            avoid_collisions=avoid_collisions,
-            reconfigure=reconfigure,
-        )
+        self.robot, self.options = robot, {"tolerance": tolerance, **options}
+        self._tracker = _tracker(robot, q, reconfigure=reconfigure, **options)
         self._kinds: list[int] | None = None
 
     def follow(self, q: np.ndarray, target: Any) -> Followed:
@@ -89,9 +72,13 @@ class Hand:
         return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled, between))
 
 
+def _tracker(robot: Any, q: np.ndarray, **options: Any) -> Tracker:
+    return Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct", **options)
+
+
 def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
     """Compile (or load) what `follow` runs, with one discarded step, before the first drag."""
-    Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct").update(target, STEP)
+    _tracker(robot, q).update(target, STEP)
 
 
 def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:

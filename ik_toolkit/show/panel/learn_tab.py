@@ -2,12 +2,14 @@
 
 import html
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ...errors import IKError, InvalidConfiguration
+from ...errors import IKError
 from ...kernel.counted_error import POSE, POSITION
+from ...robot.pose import LAST
 from ...solvers.closed_form import fits
 from ...solvers.explain.dh_table import dh_blocks, dh_of
 from ...solvers.explain.explanation import Explanation, target_table
@@ -17,12 +19,12 @@ from ...solvers.registry import find_row
 from ...solvers.result import Result
 from ...solvers.solve import solve
 from ...style import BAD, GOOD
+from .connection import QUIET, empty
 from .session import Session
 from .tables import as_sentence
 
-QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # Colours of the branch buttons.
+CHOSEN = (31, 95, 153)  # colour of the button of the branch shown
 FREEDOMS = 6  # with fewer joints the target is a position, unless a closed form solves poses
-COLUMNS = ("n", "o", "a")
 STEP = 0.001  # Step [mm or deg] of the slider of the free parameter.
 
 
@@ -58,36 +60,23 @@ class Lesson:
 
         Raises InvalidConfiguration.
         """
-        q = self.session.q.copy()
-        for i, (value, before) in enumerate(zip(values, shown, strict=True)):
-            if value != before:
-                q[i] = value / self.scale(i)
-        if not np.isfinite(q).all():
-            raise InvalidConfiguration("a joint value is not a finite number")
-        return np.clip(q, self.robot.lower, self.robot.upper)
+        return self.session.read_joints(values, shown, [self.scale(i) for i in range(self.robot.n)], True)
 
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
         """Return the columns n, o, a and p [mm] of a pose (4, 4)."""
-        places = (6, 6, 6, self.places)
-        scaled = T[:3].T * np.array([1.0, 1.0, 1.0, SCALES["m"]])[:, None]
-        return {
-            name: tuple((column.round(k) + 0.0).tolist())
-            for name, column, k in zip("noap", scaled, places, strict=True)
-        }
+        rounded = [*T[:3, :3].T.round(6), (SCALES["m"] * T[:3, 3]).round(self.places)]
+        return {name: tuple((column + 0.0).tolist()) for name, column in zip("noap", rounded, strict=True)}
 
     def sample(self) -> np.ndarray | None:
         """Return the pose (4, 4) computed in the robot's paper, as printed, or None."""
         given = self.session.entry.sample
         if given is None or not self.posed:
             return None
-        T = np.eye(4)
-        T[:3] = np.column_stack([given[name] for name in "noap"])
-        return T
+        return matrix_of(given)
 
     def inverse(self, columns: dict[str, Any]) -> Result:
         """Solve for columns n, o, a and p [mm] from the current q, and explain the result. Raises InvalidTarget."""
-        T = np.eye(4)
-        T[:3] = np.column_stack([columns[name] for name in "noap"])
+        T = matrix_of(columns)
         T[:3, 3] /= SCALES["m"]
         return self._explain(T, "auto")
 
@@ -134,15 +123,19 @@ class Lesson:
         return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP
 
 
+def matrix_of(columns: Mapping[str, Any]) -> np.ndarray:
+    """Return the matrix (4, 4) with the columns n, o, a and p."""
+    return np.vstack([np.column_stack([columns[name] for name in "noap"]), LAST])
+
+
 class Learn:
     """The controls of the tab "Learn" on a visitor's page."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls; there are none for a robot with several tips."""
-        self.desk, self.gui, self.listen = desk, desk.gui, desk._on
-        session: Session = desk.session
-        self.session = session
-        self.robot: Any = session.robot
+        self.desk, self.gui = desk, desk.gui
+        self.session: Session = desk.session
+        self.robot: Any = self.session.robot
         self.alone = len(self.robot.tips) == 1
         if self.alone:
             self._build()
@@ -175,34 +168,27 @@ class Learn:
         self.shown = [0.0] * self.robot.n
         for i, name in enumerate(self.robot.joint_names):
             low, high = (lesson.scale(i) * x for x in self.session.ends(i))
-            field = self.gui.add_number(
-                f"{name} [{lesson.unit(i)}] ", 0.5 * (low + high), min=low, max=high, step=0.0001
-            )
-            self.values.append(field)
-            self.listen(field, "forward", self._forward)
+            label = f"{name} [{lesson.unit(i)}] "
+            field = self.gui.add_number(label, 0.5 * (low + high), min=low, max=high, step=0.0001)
+            self.values.append(self.desk._on(field, "forward", self._forward))
         self.pose = self.gui.add_html("")
 
     def _build_inverse(self) -> None:
         gui, lesson = self.gui, self.lesson
-        self.fields = {
-            name: gui.add_vector3(
-                name, (0.0, 0.0, 0.0), step=1e-6, visible=lesson.posed, hint=f"{name}_x, {name}_y, {name}_z"
-            )
-            for name in COLUMNS
-        }
-        self.fields["p"] = gui.add_vector3("p [mm]", (0.0, 0.0, 0.0), step=10.0**-lesson.places, hint="p_x, p_y, p_z")
+        self.fields = {}
+        for name in "noap":
+            hint, step = f"{name}_x, {name}_y, {name}_z", 10.0**-lesson.places if name == "p" else 1e-6
+            shown, label = lesson.posed or name == "p", "p [mm]" if name == "p" else name
+            self.fields[name] = gui.add_vector3(label, (0.0, 0.0, 0.0), step=step, visible=shown, hint=hint)
         if not lesson.posed:
             gui.add_html(to_html([Sentence("The target of this arm is a position; n, o and a follow from it.")]))
-        solve_it = gui.add_button("Joint values", color="blue")
-        self.listen(solve_it, "solve", self._inverse)
-        forward = gui.add_button("Use FK output", color=QUIET)
-        self.listen(forward, "fields", lambda: self._fill(self.session.poses()[self.robot.tip]))
+        button = self.desk._button
+        button("Joint values", "solve", self._inverse, "blue")
+        button("Use FK output", "fields", lambda: self._fill(self.session.poses()[self.robot.tip]))
         sample, given = lesson.sample(), self.session.entry.sample
         if sample is not None and given is not None:
-            load = gui.add_button("Load the paper's sample", color=QUIET, hint=given["from"])
-            self.listen(load, "fields", lambda: self._fill(sample))
-        clear = gui.add_button("Clear", color=QUIET)
-        self.listen(clear, "fields", self._clear)
+            button("Load the paper's sample", "fields", lambda: self._fill(sample), hint=given["from"])
+        button("Clear", "fields", self._clear)
         self.outcome = gui.add_html("")
 
     # ---------------------------------------------------------------------------------------------------------- actions
@@ -212,7 +198,7 @@ class Learn:
             return
         lesson = self.lesson
         for i, field in enumerate(self.values):
-            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4), field.min, field.max))
+            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4) + 0.0, field.min, field.max))
         T = self.session.poses(q)[self.robot.tip]
         self.pose.content = to_html([target_table(T, lesson.places), Sentence("Position p in mm.")])
         self.table.content = to_html(dh_blocks(self.robot, lesson.table, q))
@@ -273,8 +259,7 @@ class Learn:
         """Build the branch buttons and the slider of the free parameter."""
         lesson, made = self.lesson, self.lesson.made
         assert made is not None
-        for child in list(self.found._children.values()):
-            child.remove()
+        empty(self.found)
         self.free, self.buttons = None, []
         span = lesson.span()
         with self.found:
@@ -283,8 +268,8 @@ class Learn:
                 i = lesson.worked.free.joint
                 name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
                 at = float(np.clip(lesson.scale(i) * made.q[i], *span))
-                self.free = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
-                self.listen(self.free, "free", lambda: self._at(self.free.value))
+                slider = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
+                self.free = self.desk._ask(slider, "free", self._at)
             self.words = self.gui.add_html("")
         self.found.visible = bool(lesson.branches)
         self._write()
@@ -310,8 +295,7 @@ class Learn:
         assert made is not None
         for k in range(len(self.buttons), len(lesson.branches)):
             with self.found:
-                self.buttons.append(self.gui.add_button("", color=QUIET))
-            self.listen(self.buttons[k], "branch", lambda k=k: self.pick(k))
+                self.buttons.append(self.desk._button("", "branch", lambda k=k: self.pick(k)))
         for k, button in enumerate(self.buttons):
             if k < len(lesson.branches):
                 branch = lesson.branches[k]
@@ -342,8 +326,5 @@ def said(words: str, color: str) -> str:
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
     """Make the table of the joint values of one configuration."""
-    units = [unit_of(kind) for kind in robot.joint_kinds]
-    rows = [
-        (name, digits(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
-    ]
-    return Table(("joint", "value", ""), rows)
+    values = zip(robot.joint_names, q, map(unit_of, robot.joint_kinds), strict=True)
+    return Table(("joint", "value", ""), [(name, digits(x, unit, places), UNITS[unit]) for name, x, unit in values])

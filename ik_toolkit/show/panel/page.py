@@ -1,5 +1,6 @@
 """The page of one panel visitor: controls and 3-D view (viser) for a Session."""
 
+import functools
 import html
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -7,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import IKError, InvalidConfiguration
+from ...errors import IKError
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
 from ..body import Body
-from .connection import PLAIN, Past, Visit
+from .connection import PLAIN, Past, Visit, empty
 from .learn_tab import Learn
 from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
@@ -19,7 +20,6 @@ from .solve_tab import Chart, Goal, SolutionsTab
 from .tables import Recorder, as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
-QUIET = (71, 85, 105)  # colour of secondary buttons
 STEPS = 500  # least number of steps of a slider
 PUSH = 3.0  # [rad or arm reaches] length of the self-motion from the middle of its slider to either end
 MOST_TIPS = 4  # largest number of tips that can be chosen on the page
@@ -34,18 +34,13 @@ class PanelPage(Visit):
         s = self.session
         body = Body(s.robot)
         with self.client.atomic():
-            self.gui.reset()
             self.scene.reset()
+            dragged = functools.partial(self._post, "drag", self._dragged)
+            self.stage = Stage(self.client, body, s.q, s.goals(), self.frames, dragged, self.stage)
+            self.gui.reset()
             self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
             self.gui.main_panel.dock_right()
             self._build_controls()
-            self.stage = Stage(
-                self.client, body, s.q, s.goals(), self.frames, lambda: self._post("drag", self._dragged), self.stage
-            )
-            if self.around is not None:
-                self.around.join(self.stage)
-            for goal, handle in zip(self.goals, self.stage.handles, strict=True):
-                goal.join(handle)
         self.show()
         words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
         self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
@@ -57,13 +52,10 @@ class PanelPage(Visit):
         s, gui = self.session, self.gui
         names = [entry.name for entry in list_robots()]
         names = names if s.source in names else [s.source, *names]
-        robots = gui.add_dropdown("Robot", names, initial_value=s.source)
-        self._on(robots, "build", lambda: self._switch(robots.value))
+        self._ask(gui.add_dropdown("Robot", names, initial_value=s.source), "build", self._switch)
         self._build_tips()
-        degrees = gui.add_checkbox(
-            "Degrees", s.degrees, hint="Angles in degrees; otherwise radians. Lengths in metres."
-        )
-        self._on(degrees, "build", lambda: self._units(degrees.value))
+        hint = "Angles in degrees; otherwise radians. Lengths in metres."
+        self._ask(gui.add_checkbox("Degrees", s.degrees, hint=hint), "build", self._units)
         self.status = gui.add_html("")
         self.facts = gui.add_html("")
         tabs = gui.add_tab_group()
@@ -72,7 +64,7 @@ class PanelPage(Visit):
         with tabs.add_tab("Solve"):
             self._build_solve()
         with tabs.add_tab("Scene"):
-            self.around = Around(gui, s, self._on, self.show)
+            self.around = Around(self)
         with tabs.add_tab("Learn"):
             self.learn = Learn(self)
         with tabs.add_tab("Robot"):
@@ -96,65 +88,46 @@ class PanelPage(Visit):
 
     def _build_joints(self) -> None:
         s, gui = self.session, self.gui
-        self.sliders = []
-        self.shown = [0.0] * s.robot.n
+        self.sliders, self.shown = [], [0.0] * s.robot.n
         for i, name in enumerate(s.robot.joint_names):
             low, high = s.range(i)
             step = 10.0 ** np.floor(np.log10(max(high - low, 1e-6) / STEPS))
             slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
-            self.sliders.append(slider)
-            self._on(slider, "joints", self._moved)
-        self.push = gui.add_slider(
-            "Self-motion",
-            -1.0,
-            1.0,
-            0.01,
-            0.0,
-            hint="Moves the joints of a redundant arm while its tip stays where it is.",
-        )
+            self.sliders.append(self._on(slider, "joints", self._moved))
+        hint = "Moves the joints of a redundant arm while its tip stays where it is."
+        self.push = self._on(gui.add_slider("Self-motion", -1.0, 1.0, 0.01, 0.0, hint=hint), "push", self._push)
         self.pushed = 0.0
-        self._on(self.push, "push", self._push)
-        for text, name, job in (
-            ("Undo", "undo", self._undo),
-            ("Random pose", "anywhere", self._anywhere),
-            ("Reset to home", "home", self._home),
-            ("Copy as JSON", "json", self._json),
-        ):
-            self._on(gui.add_button(text, color=QUIET), name, job)
-        self.recorder = Recorder(gui, s, self._on, self.say)
+        self._button("Undo", "undo", self._undo)
+        self._button("Random pose", "anywhere", self._anywhere)
+        self._button("Reset to home", "home", self._home)
+        self._button("Copy as JSON", "json", self._json)
+        self.recorder = Recorder(self)
         self.pose = gui.add_html("")
 
     def _build_goals(self) -> None:
         """Build the controls of each tip's target."""
         s, self.goals = self.session, []
-        for tip in s.robot.tips:
+        for tip, handle in zip(s.robot.tips, self.stage.handles, strict=True):
             with self.gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
-                self.goals.append(Goal(self.gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+                self.goals.append(Goal(self, tip, self.kinds.get(tip, s.kind), handle))
 
     def _build_solve(self) -> None:
         s, gui = self.session, self.gui
         self._build_goals()
-        go = gui.add_button("Solve", color="blue")
-        self._on(go, "solve", self._solve)
+        self._button("Solve", "solve", self._solve, "blue")
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
-        self._on(follow, "live", lambda: setattr(self, "live", follow.value))
+        self._ask(follow, "live", lambda live: setattr(self, "live", live))
         several = len(s.robot.tips) > 1
-        here = gui.add_button("Targets to tips" if several else "Target to tip", color=QUIET)
-        self._on(here, "solve", self._target_to_tip)
-        anywhere = gui.add_button("Random targets" if several else "Random target", color=QUIET)
-        self._on(anywhere, "solve", self._random)
-        every = gui.add_button("All solutions", color=QUIET)
-        self._on(every, "solve", self._solve_all)
+        self._button("Targets to tips" if several else "Target to tip", "solve", self._target_to_tip)
+        self._button("Random targets" if several else "Random target", "solve", self._random)
+        self._button("All solutions", "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
-        self.found = SolutionsTab(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
+        self.found = SolutionsTab(self)
         with gui.add_folder("Solver"):
-            choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
-            self._on(choice, "choice", lambda: self._choose(choice.value))
+            self._ask(gui.add_dropdown("Method", s.choices(), initial_value=s.solver), "choice", self._choose)
             self.tolerance = gui.add_text("Tolerance [m, rad]", f"{s.tolerance:g}")
-            limits = gui.add_checkbox(
-                "Joint limits", s.limits, hint="Off: joints may go anywhere, as if they had no limits."
-            )
-            self._on(limits, "build", lambda: self._limits(limits.value))
+            hint = "Off: joints may go anywhere, as if they had no limits."
+            self._ask(gui.add_checkbox("Joint limits", s.limits, hint=hint), "build", self._limits)
             self.parameters = gui.add_folder("Parameters", visible=False)
         self._fill_parameters()
         with gui.add_folder("Convergence"):
@@ -162,21 +135,16 @@ class PanelPage(Visit):
 
     def _build_robot(self) -> None:
         s, gui = self.session, self.gui
-        frames = gui.add_checkbox("Show joint frames", self.frames)
-        self._on(frames, "frames", lambda: self._show_frames(frames.value))
+        self._ask(gui.add_checkbox("Show joint frames", self.frames), "frames", self._show_frames)
         caption, head, rows = s.table()
         gui.add_html(
             f'<div style="padding:4px 12px;font-size:12px"><p>{html.escape(s.entry.description)}</p>'
             f"<p>{html.escape(caption)}</p></div>{table_html(rows, head)}"
         )
         if self.files:
-            path = gui.add_text(
-                "Other robot",
-                "",
-                hint="A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on.",
-            )
-            load = gui.add_button("Load", color=QUIET)
-            self._on(load, "build", lambda: self._switch(path.value))
+            hint = "A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on."
+            path = gui.add_text("Other robot", "", hint=hint)
+            self._button("Load", "build", lambda: self._switch(path.value))
 
     def show(self) -> None:
         """Update view, sliders and numbers to the session's q."""
@@ -185,7 +153,7 @@ class PanelPage(Visit):
             self.stage.show(s.q)
             self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
-                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i))
+                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i)) + 0.0
                 slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
         if self.around is not None:
             self.facts.content = self.around.show()
@@ -215,13 +183,8 @@ class PanelPage(Visit):
 
     def _moved(self) -> None:
         s = self.session
-        q = s.q.copy()
-        for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # shown values are rounded, so an untouched joint keeps its exact value
-                q[i] = slider.value / s.scale(i)
-        if not np.isfinite(q).all():
-            raise InvalidConfiguration("a joint value is not a finite number")
-        s.q = np.clip(q, s.robot.lower, s.robot.upper) if s.limits else q
+        scales = [s.scale(i) for i in range(s.robot.n)]
+        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, scales, s.limits)
         self.show()
 
     def _push(self) -> None:
@@ -264,43 +227,37 @@ class PanelPage(Visit):
 
     def _home(self) -> None:
         s = self.session
-        s.q, s.result, s.solutions = s.robot.home.copy(), None, []
-        self.chart.hide()
+        s.q, s.result, s.followed, s.solutions = s.robot.home.copy(), None, None, []
+        self._hide_answer()
         self.outcome.visible = False
         self.show()
         self._target_to_tip()
         self.say("at home")
 
     def _json(self) -> None:
-        text = self.session.to_json()
-        modal = self.gui.add_modal("JSON (metres and radians)")
-        with modal:
-            self.gui.add_html(
-                '<textarea id="ik-json" readonly rows="14" style="width:100%;box-sizing:border-box;'
-                f'font:11px monospace">{html.escape(text)}</textarea><button style="margin:6px 0;padding:6px 14px" '
-                "onclick=\"const t=document.getElementById('ik-json');t.select();"
-                "(navigator.clipboard?navigator.clipboard.writeText(t.value):Promise.reject())"
-                ".catch(()=>document.execCommand('copy')).then(()=>this.textContent='Copied')\">Copy</button>"
-            )
-            done = self.gui.add_button("Close")
-        done.on_click(lambda _: modal.close())
+        self._dialog(
+            "JSON (metres and radians)",
+            '<textarea id="ik-json" readonly rows="14" style="width:100%;box-sizing:border-box;font:11px monospace">'
+            f'{html.escape(self.session.to_json())}</textarea><button style="margin:6px 0;padding:6px 14px" '
+            "onclick=\"const t=document.getElementById('ik-json');t.select();"
+            "(navigator.clipboard?navigator.clipboard.writeText(t.value):Promise.reject())"
+            ".catch(()=>document.execCommand('copy')).then(()=>this.textContent='Copied')\">Copy</button>",
+        )
 
     def _choose(self, name: str) -> None:
         self.session.solver, self.session.parameters = name, {}
         self._fill_parameters()
 
     def _fill_parameters(self) -> None:
-        for child in list(self.parameters._children.values()):
-            child.remove()
+        empty(self.parameters)
         fields = self.session.fields()
         self.typed_parameters = {}
         self.parameters.visible = bool(fields)
         with self.parameters:
             for name, default in fields.items():
-                hint = "the method's own default" if default is None else f"default {default}"
-                self.typed_parameters[name] = self.gui.add_text(
-                    name, "" if default is None else str(default), hint=hint
-                )
+                text = "" if default is None else str(default)
+                hint = f"default {default}" if text else "the method's own default"
+                self.typed_parameters[name] = self.gui.add_text(name, text, hint=hint)
 
     def _typed(self) -> Any:
         """Read the target from the fields, and the solver's settings from theirs."""
@@ -340,7 +297,16 @@ class PanelPage(Visit):
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
         near = "" if left is None else f" {as_sentence(left.message)}"
         self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
+        self._show_figures(advice)
+
+    def _show_figures(self, advice: str = "") -> None:
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
+
+    def _hide_answer(self) -> None:
+        """Hide the curves of a solve and the list of solutions, which are for another target; not every page has them."""
+        if self.chart is not None and self.found is not None:
+            self.chart.hide()
+            self.found.hide()
 
     def _dragged(self, patience: int = PATIENCE) -> None:
         """Move towards the dragged targets for a second; then queue another call (at most `patience`) if the arm still moves."""
@@ -351,10 +317,8 @@ class PanelPage(Visit):
         self.show()
         self.stage.gaps({} if found.success else targets)
         self.say(as_sentence(found.message), GOOD if found.success else PLAIN)
-        self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
-        if self.chart is not None:
-            self.chart.hide()
-            self.found.hide()  # the listed solutions are for another target
+        self._show_figures()
+        self._hide_answer()
         if not found.settled and patience:
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 

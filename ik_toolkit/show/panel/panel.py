@@ -37,18 +37,9 @@ class Follower(PanelPage):
         self.sliders: list[Any] = []
         self.status = self.gui.add_html("")
         self._build_goals()
-        home = self.gui.add_button("Reset to home")
-        self._on(home, "joints", self._home)
+        self._button("Reset to home", "joints", self._home, color=None)
         self.outcome = self.gui.add_html("", visible=False)
         self.pose = self.gui.add_html("")
-
-    def _home(self) -> None:
-        s = self.session
-        s.q, s.followed = s.robot.home.copy(), None
-        self.outcome.visible = False
-        self.show()
-        self._target_to_tip()
-        self.say("at home")
 
 
 class Panel(Unique):
@@ -135,10 +126,7 @@ class Panel(Unique):
 def _check_address(host: str, port: int) -> None:
     """Reject an address that cannot be listened on, because viser would try one port after another for ever."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise InvalidOption(f"port {port} is in use") from None

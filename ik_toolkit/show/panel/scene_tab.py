@@ -1,15 +1,14 @@
 """The panel's Scene tab: contacts, clearance, box obstacles, manipulability, and self-motion while the tips stay in place."""
 
 import html
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...errors import InvalidTarget
+from ...solvers.solve import Solver
 from ...style import BAD
 from ...text import figure, length, vector
-from .session import Session
 from .viser_scene import Stage
 
 BOX = (148, 103, 60)
@@ -21,32 +20,21 @@ NEAR = 0.25  # Distances below this fraction of the robot's size are drawn.
 class Around:
     """Controls and drawings of a robot's surroundings."""
 
-    def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
-        """Build the controls; `changed` is called after something was moved, `listen` connects a control with a job."""
-        self.session, self.listen, self.changed = session, listen, changed
-        self.stage: Stage  # the robot's drawing, set by `join`
-        avoid = gui.add_checkbox(
-            "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
-        )
-        listen(avoid, "avoid", lambda: self.avoid(avoid.value))
-        self.distance = gui.add_checkbox("Show the nearest pair", True)
-        listen(self.distance, "facts", changed)
-        self.ellipsoid = gui.add_checkbox(
-            "Manipulability ellipsoid",
-            False,
-            hint="How fast each tip can move in each direction at joint speeds of norm 1.",
-        )
-        listen(self.ellipsoid, "facts", changed)
-        self.size = gui.add_text("Box x y z [m]", "")
-        add, remove = (gui.add_button(text, color=(71, 85, 105)) for text in ("Add a box", "Remove the boxes"))
-        listen(add, "boxes", self.add)
-        listen(remove, "boxes", self.clear)
-
-    def join(self, stage: Stage) -> None:
-        """Use a new drawing of the robot (`stage`), and draw the existing boxes in it."""
-        self.stage, self.handles = stage, stage.boxes
-        side = float(f"{SIDE * stage.size:.1g}")
-        self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
+    def __init__(self, desk: Any) -> None:
+        """Build the controls on a visitor's page, and draw the session's boxes."""
+        self.desk, self.session, self.changed = desk, desk.session, desk.show
+        self.stage: Stage = desk.stage
+        self.handles, gui = self.stage.boxes, desk.gui
+        hint = "When solving, listing solutions and dragging."
+        desk._ask(gui.add_checkbox("Avoid collisions", self.session.avoid, hint=hint), "avoid", self.avoid)
+        self.distance = desk._on(gui.add_checkbox("Show the nearest pair", True), "facts", self.changed)
+        hint = "How fast each tip can move in each direction at joint speeds of norm 1."
+        ellipsoid = gui.add_checkbox("Manipulability ellipsoid", False, hint=hint)
+        self.ellipsoid = desk._on(ellipsoid, "facts", self.changed)
+        side = f"{float(f'{SIDE * self.stage.size:.1g}'):g}"
+        self.size = gui.add_text("Box x y z [m]", f"{side} {side} {side}")
+        desk._button("Add a box", "boxes", self.add)
+        desk._button("Remove the boxes", "boxes", self.clear)
         for name, (size, T) in self.session.boxes.items():
             self._draw(name, size, T)
 
@@ -80,7 +68,7 @@ class Around:
 
     def _draw(self, name: str, size: Any, T: np.ndarray) -> None:
         gizmo = self.handles[name] = self.stage.box(name, size, T, BOX)
-        self.listen(gizmo, name, lambda: self._moved(name))
+        self.desk._on(gizmo, name, lambda: self._moved(name))
 
     def _moved(self, name: str) -> None:
         self.session.move_box(name, self.stage.dragged(self.handles[name]))
@@ -108,13 +96,12 @@ class Around:
 
 STEP = 0.02  # [rad or arm reaches] step between corrections; a tip's error grows with its square
 THIN = 1e-6  # directions below this fraction of the largest singular value do not move the tips
-CORRECTIONS = 3  # number of Newton steps of a correction; each squares the remaining error
 LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
 
 
 def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
     """Return the null-space directions (k, n) at q (n,), which move no tip; `turns`: whether the tips' rotations are fixed, too."""
-    J = _rows(robot, q, turns)
+    J = robot.jacobian(q).reshape(-1, 6, robot.n)[:, : 6 if turns else 3].reshape(-1, robot.n)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
     return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]
 
@@ -123,10 +110,13 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
     """Move q (n,) by `far` [rad or arm reaches] along the self-motion nearest to direction `along`, or up to a limit.
 
     Each step continues in the direction that the null space shares with the previous step, so that moving back is
-    reversible.
+    reversible. A solver then takes the tips back to where they were.
     """
-    start, unit = q, np.where(robot.slides, robot.reach, 1.0)
-    done, at = 0.0, along / unit
+    poses = dict(zip(robot.tips, robot.tip_poses(q), strict=True))
+    hold = robot.for_tips({tip: T.homogeneous if turns else T.translation for tip, T in poses.items()})
+    solver = Solver(robot, "lm", tolerance=LEFT, limits=False, restarts=0)
+    unit, done = np.where(robot.slides, robot.reach, 1.0), 0.0
+    at = along / unit
     while done < abs(far):
         free = null_directions(robot, q, turns) / unit
         free = np.linalg.qr(free.T)[0].T if len(free) else free
@@ -135,38 +125,8 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
             break
         at /= np.linalg.norm(at)
         step = min(STEP, abs(far) - done)
-        new = _corrected(robot, start, q + np.sign(far) * step * at * unit, turns)
-        if new is None or (limits and robot.outside(new)):
+        new = solver(hold, q + np.sign(far) * step * at * unit)
+        if not new.success or (limits and robot.outside(new.q)):
             break
-        q, done = new, done + step
+        q, done = new.q, done + step
     return q
-
-
-def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray | None:
-    """Return the nearest q (n,) with the tips where they are at `start`, or None if it is not found."""
-    error = np.zeros(0)
-    for _ in range(CORRECTIONS + 1):
-        error = _away(robot, start, q, turns)
-        if np.abs(error).max() < LEFT:
-            return q
-        q = q + np.linalg.lstsq(_rows(robot, q, turns), error, rcond=THIN)[0]
-    return None
-
-
-def _rows(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Stack the Jacobians of the tips, with positions only if rotations are not held."""
-    J = robot.jacobian(q).reshape(-1, 6, robot.n)
-    return (J if turns else J[:, :3]).reshape(-1, robot.n)
-
-
-def _away(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Return the difference of the tips at q from those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
-    import pinocchio as pin
-
-    left = []
-    for arm, place in zip(robot.arms, robot.places, strict=True):
-        goal, now = arm.fk(start[place]), arm.fk(q[place])
-        left.append(goal.translation - now.translation)
-        if turns:
-            left.append(pin.log3(goal.rotation @ now.rotation.T))
-    return np.concatenate(left)

@@ -122,6 +122,20 @@ class Session:
         low = low if math.isfinite(low) else min(-span, float(self.q[i]))
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
+    def read_joints(
+        self, fields: Sequence[float], shown: list[float], scales: Sequence[float], limits: bool
+    ) -> np.ndarray:
+        """Return q (n,) from typed values over scales; what is as it was shown, rounded, keeps its digits.
+
+        Raises InvalidConfiguration.
+        """
+        q, values = self.q.copy(), np.array(fields, dtype=float)
+        typed = values != np.array(shown)
+        q[typed] = values[typed] / np.array(scales)[typed]
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
+        return np.clip(q, self.robot.lower, self.robot.upper) if limits else q
+
     def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return T_base_tip (4, 4) of each tip at q (n,), by default the current q."""
         each = self.robot.each_tip(self.robot.fk(self.q if q is None else q))
@@ -303,19 +317,12 @@ class Session:
     # ------------------------------------------------------------------------------------------------------- display
     def figures(self) -> list[tuple[str, str]]:
         """Return rows (name, value) about the last solve, or the current state of a drag."""
-        if self.followed is not None and self.result is None:
-            left = self.followed.errors
-            words = {tip: f"{length(position)}, {_angle(turned)}" for tip, (position, turned) in left.items()}
-            return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
-        r = self.result
+        r, followed = self.result, self.followed
         if r is None:
-            return []
+            return self._tip_errors(followed.errors) if followed is not None else []
         errors = [("position error", length(r.position_error)), ("orientation error", _angle(r.orientation_error))]
         if len(self.robot.tips) > 1:
-            errors = []
-            for tip, position in r.position_errors.items():
-                left = f"{length(position)}, {_angle(r.orientation_errors[tip])}"
-                errors.append((tip, left if tip in self.target else NONE))
+            errors = self._tip_errors({tip: (r.position_errors[tip], r.orientation_errors[tip]) for tip in self.target})
         return [
             ("status", r.status.name),
             *errors,
@@ -323,16 +330,18 @@ class Session:
             ("computed in", f"{duration(r.elapsed)}, solver {r.solver}"),
         ]
 
+    def _tip_errors(self, errors: dict[str, tuple[float, float | None]]) -> list[tuple[str, str]]:
+        words = {tip: f"{length(position)}, {_angle(turned)}" for tip, (position, turned) in errors.items()}
+        return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
+
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         """Return caption, header and rows of the D-H table or, without one, of the joint axes at home in base axes."""
         if self.entry.dh_file is not None and len(self.robot.tips) == 1 and self.entry.tips == self.robot.tips:
             from ...robot.formats.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)
-            caption = (
-                f"{table.convention.capitalize()} Denavit-Hartenberg table ({self.entry.table or self.entry.name})"
-            )
-            rows = []
+            source = self.entry.table or self.entry.name
+            caption, rows = f"{table.convention.capitalize()} Denavit-Hartenberg table ({source})", []
             for r in table.rows:
                 name = f"{r.name}{' (slides)' if r.type == 'prismatic' else ''}"
                 rows.append((name, f"{math.degrees(r.theta):g}", f"{r.d:g}", f"{r.a:g}", f"{math.degrees(r.alpha):g}"))
@@ -351,19 +360,14 @@ class Session:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything on the screen, in metres and radians, ready for JSON."""
-        each = {
-            tip: {
-                "T_base_tip": T.tolist(),
-                "xyz": T[:3, 3].tolist(),
-                "rpy": matrix_rpy(T[:3, :3]).tolist(),
-                "quat_xyzw": matrix_quat(T[:3, :3]).tolist(),
-            }
-            for tip, T in self.poses().items()
-        }
+        each = {}
+        for tip, T in self.poses().items():
+            R, p = T[:3, :3], T[:3, 3]
+            each[tip] = {"T_base_tip": T, "xyz": p, "rpy": matrix_rpy(R), "quat_xyzw": matrix_quat(R)}
         return {
             "robot": self.source,
             "base": self.robot.base,
-            **({"tips": each} if len(each) > 1 else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
+            **plain({"tips": each} if len(each) > 1 else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
             "target": plain(self.target),

@@ -1,43 +1,36 @@
 """The panel's Solve tab: typed or dragged targets, solutions (one shown as a translucent robot), and the error per iteration."""
 
-import html
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...style import COLOURS
-from ..plots import FLOOR
-from .session import KINDS, NONE, Session
-from .tables import note_html
+from ..plots import FLOOR, iterates
+from .session import KINDS, NONE
+from .tables import note_html, table_rows
 from .viser_scene import Handle
 
 
 class Goal:
     """The target of one tip, typed or dragged; `kind` is one of KINDS, or NONE if the tip has no target."""
 
-    def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
-        """Build the controls; listen(handle, name, job) runs a job when the visitor changes one."""
-        self.session, self.tip, self.kind = session, tip, kind
+    def __init__(self, desk: Any, tip: str, kind: str, handle: Handle) -> None:
+        """Build the controls on a visitor's page; handle: the target's arrows and rings in the 3-D view."""
+        self.session, self.tip, self.kind, self.handle = desk.session, tip, kind, handle
+        gui, session = desk.gui, self.session
         T = session.goals()[tip]
         xyz, rotation = session.words(T, kind)
         self.xyz = gui.add_text("x y z [m]", xyz, visible=self._placed)
         kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
-        orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
-        listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
+        desk._ask(gui.add_dropdown("Orientation", kinds, initial_value=kind), f"kind {tip}", self.give)
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
         self.written = xyz, rotation  # texts in the fields; the handle's target has more digits
-        self.handle: Handle  # set by `join`
+        handle.turns(self.posed, kind != NONE)
 
     @property
     def posed(self) -> bool:
         """Whether the target has an orientation."""
         return self.kind not in ("free", NONE)
-
-    def join(self, handle: Handle) -> None:
-        """Connect the target with its handle (arrows and rings) in the 3-D view."""
-        self.handle = handle
-        handle.turns(self.posed, self.kind != NONE)
 
     def give(self, kind: str) -> None:
         """Change the form in which the orientation is typed."""
@@ -108,29 +101,15 @@ CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()=
 class SolutionsTab:
     """The solutions found, with their controls."""
 
-    def __init__(
-        self,
-        gui: Any,
-        session: Session,
-        listen: Callable[..., None],
-        ghost: Callable[[np.ndarray | None], None],
-        go: Callable[[int], None],
-    ) -> None:
-        """Build the controls, hidden until there are solutions.
-
-        ghost(q) shows a solution as a translucent robot (None hides it), go(k) moves the robot to solution k, and
-        listen(handle, name, job) runs a job when a control changes.
-        """
-        self.session, self.ghost = session, ghost
+    def __init__(self, desk: Any) -> None:
+        """Build the controls on a visitor's page, hidden until there are solutions."""
+        self.session, self.ghost, gui = desk.session, desk.stage.ghost, desk.gui
         self.folder = gui.add_folder("Solutions", visible=False)
         with self.folder:
             self.table = gui.add_html("")
-            self.number = gui.add_number(
-                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a column you point at."
-            )
-            button = gui.add_button(GO)
-        listen(self.number, "ghost", self.point)
-        listen(button, "joints", lambda: go(self.chosen))
+            hint = "Shown as a ghost, like a column you point at."
+            self.number = desk._on(gui.add_number("Solution", 1, min=1, step=1, hint=hint), "ghost", self.point)
+            desk._button(GO, "joints", lambda: desk._pick(self.chosen), color=None)
 
     @property
     def chosen(self) -> int:
@@ -159,20 +138,15 @@ class SolutionsTab:
         """Write the table of solutions, one column per solution: number, branch, distance, joint values."""
         s = self.session
         signs = s.branches if s.branches is not None and np.any(s.branches) else None
-        lines = [("", [str(k + 1) for k in range(len(s.solutions))])]
+        lines = [("", *(str(k + 1) for k in range(len(s.solutions))))]
         if signs is not None:
             words = [" ".join(f"{a}{SIGNS[x]}" for a, x in zip("SEW", row, strict=True)) for row in signs]
-            lines.append(("branch", words[: len(s.solutions)]))
+            lines.append(("branch", *words[: len(s.solutions)]))
         for i, name in enumerate(s.robot.joint_names):
-            values = [f"{round(s.scale(i) * q[i], s.digits(i)) + 0.0:.{s.digits(i)}f}" for q in s.solutions]
-            lines.append((f"{name} [{s.unit(i)}]", values))
-        lines.append(("distance [rad]", [f"{distance:.3f}" for distance in s.distances]))
-        rows = "".join(
-            f'<tr><th style="{CELL};{STAY}">{html.escape(name)}</th>'
-            + "".join(f'<td style="{CELL}">{value}</td>' for value in values)
-            + "</tr>"
-            for name, values in lines
-        )
+            values = (f"{round(s.scale(i) * q[i], s.digits(i)) + 0.0:.{s.digits(i)}f}" for q in s.solutions)
+            lines.append((f"{name} [{s.unit(i)}]", *values))
+        lines.append(("distance [rad]", *(f"{distance:.3f}" for distance in s.distances)))
+        rows = table_rows(lines, CELL, STAY)
         note = "<div>S, E, W: signs of shoulder, elbow and wrist.</div>" if signs is not None else ""
         point = POINT.format(field=self.number._impl.uuid)
         return (
@@ -194,32 +168,22 @@ class Chart:
     def __init__(self, client: Any) -> None:
         """Build the chart, empty and hidden."""
         self.client = client
-        self.plot = client.gui.add_uplot(
-            (np.array([0.0, 1.0]), np.zeros(2)),
-            CURVES[:2],
-            title="error per iteration (log scale)",
-            scales={"x": {"time": False}},
-            height=200,
-            visible=False,
-        )
+        empty, look = (np.array([0.0, 1.0]), np.zeros(2)), {"title": "error per iteration (log scale)", "height": 200}
+        self.plot = client.gui.add_uplot(empty, CURVES[:2], scales={"x": {"time": False}}, visible=False, **look)
 
     def hide(self) -> None:
         """Hide the chart while the robot is moved by something other than a solve."""
         self.plot.visible = False
 
     def show(self, result: Any) -> None:
-        """Draw the history of a Result; for several attempts, the best so far."""
-        history = result.history
-        if history is None or len(history["position_error"]) < 2:
+        """Draw the errors of the attempt that found a Result, which has a history."""
+        position, angle = iterates(result)[1:3] if result.history else (np.zeros(0), np.zeros(0))
+        if len(position) < 2:
             self.hide()
             return
-        position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
-        rows = np.arange(len(position))
-        if result.restarts:
-            rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
         known = [position, angle] if np.isfinite(angle).all() else [position]  # without angles for a position
-        curves = [np.log10(np.maximum(values[rows], FLOOR)) for values in known]
+        curves = [np.log10(np.maximum(values, FLOOR)) for values in known]
         with self.client.atomic():
             self.plot.series = CURVES[: 1 + len(curves)]
-            self.plot.data = (np.arange(len(rows), dtype=float), *curves)
+            self.plot.data = (np.arange(len(position), dtype=float), *curves)
             self.plot.visible = True

@@ -3,7 +3,6 @@
 import base64
 import html
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,35 +28,31 @@ def table_html(rows: Any, head: Any = None) -> str:
     """Write rows of texts as an HTML table."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td style="{cell}{";" + muted if not k else ""}">{html.escape(x)}</td>' for k, x in enumerate(row))
-        + "</tr>"
+    body = table_rows(rows, cell, muted)
+    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+
+
+def table_rows(rows: Any, cell: str, lead: str) -> str:
+    """Write rows of texts as rows of an HTML table; cell: CSS of all cells, lead: more CSS of those in the first column."""
+    cells = (
+        [f'<td style="{cell}{"" if k else f";{lead}"}">{html.escape(x)}</td>' for k, x in enumerate(row)]
         for row in rows
     )
-    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+    return "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
 
 
 class Recorder:
     """Controls that record configurations and save the motion through them."""
 
-    def __init__(self, gui: Any, session: Session, listen: Callable[..., None], say: Callable[[str], None]) -> None:
-        """Build the controls; listen(handle, name, job) runs a job when a control changes, say(text) shows a sentence."""
-        self.gui, self.session, self.say = gui, session, say
-        with gui.add_folder("Motion", expand_by_default=False):
-            jobs = (
-                ("Record this posture", self.record),
-                ("Save the motion", self.save),
-                ("Forget the record", self.forget),
-            )
-            for text, job in jobs:
-                listen(gui.add_button(text, color=(71, 85, 105)), "record", job)
-            self.acceleration = gui.add_number(
-                "Acceleration",
-                1.0,
-                min=1e-3,
-                hint="Of every joint [rad/s2 or m/s2]; speeds are the robot's limits, or 1.",
-            )
+    def __init__(self, desk: Any) -> None:
+        """Build the controls on a visitor's page."""
+        self.desk, self.session, self.say = desk, desk.session, desk.say
+        with desk.gui.add_folder("Motion", expand_by_default=False):
+            desk._button("Record this posture", "record", self.record)
+            desk._button("Save the motion", "record", self.save)
+            desk._button("Forget the record", "record", self.forget)
+            hint = "Of every joint [rad/s2 or m/s2]; speeds are the robot's limits, or 1."
+            self.acceleration = desk.gui.add_number("Acceleration", 1.0, min=1e-3, hint=hint)
 
     def record(self) -> None:
         """Add the present configuration to the motion."""
@@ -76,9 +71,8 @@ class Recorder:
         if len(s.recorded) < 2:
             raise InvalidOption("record two postures or more, then save the motion through them")
         speeds = np.where(np.isfinite(s.robot.velocity_limits), s.robot.velocity_limits, 1.0)
-        found = through(
-            s.robot, s.recorded, speeds, float(self.acceleration.value), collision=s.world if s.avoid else None
-        )
+        around = s.world if s.avoid else None
+        found = through(s.robot, s.recorded, speeds, float(self.acceleration.value), collision=around)
         with tempfile.TemporaryDirectory() as folder:
             written = [found.to_csv(Path(folder) / "motion.csv"), found.to_json(Path(folder) / "motion.json")]
             return found.message, {file.name: file.read_bytes() for file in written}
@@ -86,17 +80,14 @@ class Recorder:
     def save(self) -> None:
         """Show links to the files of the motion."""
         message, files = self.files()
-        modal = self.gui.add_modal("Motion (metres, radians and seconds)")
         kinds = {".csv": ("text/csv", "CSV"), ".json": ("application/json", "JSON of a ROS JointTrajectory")}
         links = []
         for name, content in files.items():
             kind, words = kinds[Path(name).suffix]
             data = base64.b64encode(content).decode()
             links.append(f'<p><a download="{name}" href="data:{kind};base64,{data}">{name}</a>: {words}</p>')
-        with modal:
-            self.gui.add_html(note_html(message) + f'<div style="padding:4px 12px">{"".join(links)}</div>')
-            done = self.gui.add_button("Close")
-        done.on_click(lambda _: modal.close())
+        content = note_html(message) + f'<div style="padding:4px 12px">{"".join(links)}</div>'
+        self.desk._dialog("Motion (metres, radians and seconds)", content)
         self.say(message)
 
 

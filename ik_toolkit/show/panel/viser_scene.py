@@ -48,21 +48,14 @@ class Handle:
 
     def __init__(self, stage: "Stage", k: int, name: str, T: np.ndarray, dragged: Callable[[], None]) -> None:
         """Draw arrows and rings at T (4, 4); `dragged` is called when the visitor moves them."""
-        self.T_world_base = stage.body.T_world_base
-        scene = stage.client.scene
+        self.stage, scene = stage, stage.client.scene
         path = stage.path(f"target/{k}")
         self.gizmo = scene.add_transform_controls(path, scale=PICTURE.arrow * stage.size, disable_sliders=True)
         self.name = scene.add_label(f"{path}/name", name, anchor="bottom-left") if name else None
-        self.stage = stage
         self._put(T)
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
-        self.ball = scene.add_icosphere(
-            f"{path}/ball",
-            PICTURE.ball * PICTURE.arrow * stage.size,
-            color=PICTURE.amber,
-            opacity=0.7,
-            cast_shadow=False,
-        )
+        look: dict[str, Any] = {"color": PICTURE.amber, "opacity": 0.7, "cast_shadow": False}
+        self.ball = scene.add_icosphere(f"{path}/ball", PICTURE.ball * PICTURE.arrow * stage.size, **look)
         if hasattr(self.ball, "on_drag"):  # In viser before 1.1 the ball cannot be dragged.
             self.ball.on_drag("left")(self._carried(dragged))
 
@@ -97,11 +90,11 @@ class Handle:
             place, target = target, self.target.copy()
             target[:3, 3] = place
         self.target = target
-        _place(self.gizmo, self.T_world_base @ target)
+        _place(self.gizmo, self.stage.body.T_world_base @ target)
 
     def read(self) -> np.ndarray:
         """Return T_base_target (4, 4) to which the visitor has dragged the arrows and rings."""
-        self.target = _dragged(self.gizmo, self.T_world_base)
+        self.target = self.stage.dragged(self.gizmo)
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
@@ -139,29 +132,17 @@ class Stage:
         self.size = float(np.linalg.norm(high - low))
         scene.set_up_direction("+z")
         cell = 10.0 ** np.round(np.log10(self.size / 8.0))
-        faint, clear = (228, 231, 235), (198, 204, 211)
-        scene.add_grid(
-            self.path("grid"),
-            40 * cell,
-            40 * cell,
-            cell_size=cell,
-            section_size=5 * cell,
-            cell_color=faint,
-            section_color=clear,
-            position=(0.0, 0.0, body.floor),
-        )
+        sizes: dict[str, Any] = {"width": 40 * cell, "height": 40 * cell, "cell_size": cell, "section_size": 5 * cell}
+        colors: dict[str, Any] = {"cell_color": (228, 231, 235), "section_color": (198, 204, 211)}
+        scene.add_grid(self.path("grid"), position=(0.0, 0.0, body.floor), **sizes, **colors)
         self.parts = [self._drawn("robot", part, side="double") for part in body.parts]
-        length = 0.1 * self.size
-        self.tips = [
-            scene.add_frame(self.path(f"tip/{k}"), axes_length=length, axes_radius=0.03 * length)
-            for k in range(len(targets))
-        ]
-        self.axes = [
-            scene.add_frame(
-                self.path(f"joint/{k}"), axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames
-            )
-            for k in range(len(body.joints))
-        ]
+
+        def frame(name: str, length: float, radius: float, visible: bool = True) -> Any:
+            return scene.add_frame(self.path(name), axes_length=length, axes_radius=radius, visible=visible)
+
+        long, thick = 0.1 * self.size, 0.003 * self.size
+        self.tips = [frame(f"tip/{k}", long, thick) for k in range(len(targets))]
+        self.axes = [frame(f"joint/{k}", 0.8 * long, thick / 1.5, frames) for k in range(len(body.joints))]
         self.handles = [
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
         ]
@@ -192,13 +173,14 @@ class Stage:
         """Place everything except the target for joint values q (n,)."""
         body = self.body
         self.poses = body.placements(q)
-        for handle, M in zip(self.parts, self.poses, strict=True):
-            _place(handle, M)
-        for handle, T in zip(self.tips, body.tips(q), strict=True):
+        self._place_parts(self.parts, self.poses)
+        for handle, T in zip([*self.tips, *self.axes], [*body.tips(q), *body.frames[body.joints]], strict=True):
             _place(handle, T)
-        for handle, joint in zip(self.axes, body.joints, strict=True):
-            _place(handle, body.frames[joint])
         self.ghost(self.ghosted)
+
+    def _place_parts(self, handles: list[Any], poses: np.ndarray) -> None:
+        for handle, part, T in zip(handles, self.body.parts, poses, strict=True):
+            _place(handle, T, bar=part.end is not None)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
         """Draw a line from each tip to its target (4, 4) or (3,), to show what is missing; {} removes the lines."""
@@ -220,8 +202,8 @@ class Stage:
             self.shade = [self._drawn("ghost", part, **look) for part in self.body.parts]
         with self.client.atomic():
             poses = self.body.placements(q)
-            for handle, M, alone in zip(self.shade, poses, self.body.apart(poses, self.poses), strict=True):
-                _place(handle, M)
+            self._place_parts(self.shade, poses)
+            for handle, alone in zip(self.shade, self.body.apart(poses, self.poses), strict=True):
                 handle.visible = bool(alone)
 
     def box(self, name: str, size: Any, T: np.ndarray, color: tuple[int, int, int]) -> Any:
@@ -250,13 +232,15 @@ class Stage:
                 place[2] = max(place[2], self.body.floor + half)
                 free = np.linalg.norm(place - np.clip(place, *still)) > half
                 if free and all(np.linalg.norm(place - one.position) > half + one.scale for one in taken):
-                    T = np.eye(4)
-                    T[:3, 3] = base[:3, :3].T @ (place - base[:3, 3])
-                    yield T
+                    yield pin.SE3(np.eye(3), base[:3, :3].T @ (place - base[:3, 3])).homogeneous
 
     def dragged(self, gizmo: Any) -> np.ndarray:
         """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
-        return _dragged(gizmo, self.body.T_world_base)
+        (w, x, y, z), place = gizmo.wxyz, gizmo.position
+        if not np.isfinite([w, x, y, z, *place]).all() or not np.any(gizmo.wxyz):
+            raise InvalidTarget("the dragged target is not a valid pose")
+        turn = pin.Quaternion(float(w), float(x), float(y), float(z)).normalized()
+        return np.linalg.inv(self.body.T_world_base) @ pin.SE3(turn, np.array(place)).homogeneous
 
     def line(self, name: str, points: Any, color: tuple[int, int, int]) -> None:
         """Draw lines between pairs of points (K, 2, 3) [m], world axes; replaces earlier ones of this name."""
@@ -264,9 +248,8 @@ class Stage:
             self.lines.pop(name).remove()
         if len(points):
             ends = np.asarray(points, dtype=np.float32)
-            self.lines[name] = self.client.scene.add_line_segments(
-                self.path(name), ends, color, thickness=0.004 * self.size
-            )
+            draw, thick = self.client.scene.add_line_segments, 0.004 * self.size
+            self.lines[name] = draw(self.path(name), ends, color, thickness=thick)
 
     def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
         """Draw a velocity ellipsoid around tip k: axes (3, 3) in the base, radii (3,) [m/s] drawn as 0.25 s long."""
@@ -277,15 +260,11 @@ class Stage:
         if ball is None:
             if not visible:
                 return
-            vertices, faces = primitive("sphere", (1.0,))
-            ball = self.ellipsoids[k] = self.client.scene.add_mesh_simple(
-                self.path(f"ellipsoid/{k}"), vertices, faces, color=GHOST, opacity=0.35, cast_shadow=False
-            )
+            draw, look = self.client.scene.add_mesh_simple, {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
+            ball = self.ellipsoids[k] = draw(self.path(f"ellipsoid/{k}"), *primitive("sphere", (1.0,)), **look)
         ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
         ball.visible = visible
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, self.tips[k].position
-        _place(ball, T)
+        _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
 
     def show_frames(self, visible: bool) -> None:
         """Show or hide the joints' axes."""
@@ -334,16 +313,6 @@ class Stage:
             camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
-def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
-    if not np.isfinite([*gizmo.wxyz, *gizmo.position]).all() or not np.any(gizmo.wxyz):
-        raise InvalidTarget("the dragged target is not a valid pose")
-    T = np.eye(4)
-    T[:3, :3] = pin.Quaternion(*(float(x) for x in gizmo.wxyz)).normalized().matrix()
-    T[:3, 3] = gizmo.position
-    return np.linalg.inv(T_world_base) @ T
-
-
 def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
     """Return where a camera must be, and the point (3,) [m] it must look at, to see a box (2, 3) as large as fits.
 
@@ -361,9 +330,10 @@ def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) ->
     return to - away * ahead, to
 
 
-def _place(handle: Any, T: np.ndarray) -> None:
-    sizes = np.linalg.norm(T[:3, :3], axis=0)
-    if np.abs(sizes - 1.0).max() > 1e-9:  # a bar
-        handle.scale = tuple(sizes.tolist())
-    x, y, z, w = pin.Quaternion(T[:3, :3] / sizes).coeffs()
+def _place(handle: Any, T: np.ndarray, bar: bool = False) -> None:
+    """Place a drawing at a pose (4, 4) [m]; the matrix of a bar also stretches it."""
+    if bar:
+        sizes = np.linalg.norm(T[:3, :3], axis=0)
+        handle.scale, T = tuple(sizes.tolist()), T / [*sizes, 1.0]
+    x, y, z, w = pin.Quaternion(T[:3, :3]).normalized().coeffs()
     handle.wxyz, handle.position = (float(w), float(x), float(y), float(z)), tuple(T[:3, 3].tolist())
