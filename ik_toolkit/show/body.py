@@ -277,11 +277,11 @@ def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float)
 
 def primitive(kind: str, sizes: Sequence[float]) -> Triangles:
     """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
-    import trimesh
-
     if kind == "box":
-        unit = trimesh.creation.box()
-        return split_sharp_edges(unit.vertices * sizes, unit.faces)
+        corners = np.array([*itertools.product((-0.5, 0.5), repeat=3)]) * sizes
+        # Each side has its corners in order; 1, 2 and 4 are added to a corner's number along z, y and x.
+        sides = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+        return split_sharp_edges(corners, np.vstack([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]]))
     radius, half = sizes[0], 0.5 * sizes[1] if len(sizes) > 1 else 0.0
     if kind == "cylinder":
         return revolved([(0.0, -half), (radius, -half), (radius, half), (0.0, half)], 48)
@@ -297,12 +297,15 @@ def revolved(profile: Any, sections: int) -> Triangles:
 
     profile: points (K, 2) [m] of radius and height, with the inside on their left; a closed line or one that ends on the axis.
     """
-    import trimesh  # imported when needed: a quarter of a second
-
-    line = np.asarray(profile, dtype=float)
-    size = np.abs(line).max(axis=0)  # trimesh leaves out triangles of less than 1e-8 m2
-    made = trimesh.creation.revolve(line / size, sections=sections)
-    return split_sharp_edges(made.vertices * size[[0, 0, 1]], made.faces)
+    line, angle = np.asarray(profile, dtype=float), 2.0 * np.pi * np.arange(sections) / sections
+    r, z = np.repeat(line[:, :, None], sections, axis=2).transpose(1, 0, 2)
+    vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices)).reshape(len(line), sections)
+    number[line[:, 0] == 0.0] = number[line[:, 0] == 0.0, :1]  # on the axis a ring is one vertex
+    after = np.roll(number, -1, axis=1)
+    faces = np.stack([number[:-1], after[:-1], after[1:], number[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 3)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return split_sharp_edges(vertices, faces[whole])
 
 
 def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
@@ -311,18 +314,37 @@ def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     Vertices at the same place are first made one. Corners of two faces stay one vertex if the faces meet there at a flat enough
     edge, which belongs to no third face.
     """
-    import trimesh
+    vertices = np.asarray(vertices, dtype=float)
+    order, number = np.lexsort(vertices.T), np.empty(len(vertices), dtype=int)
+    new = (np.diff(vertices[order], axis=0) != 0.0).any(axis=1)
+    number[order] = np.concatenate([[0], np.cumsum(new)])[: len(order)]
+    corner = number[np.ravel(faces)]  # the vertex at each corner of each face
+    a, b, c = vertices[np.ravel(faces)].reshape(-1, 3, 3).transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
-    vertices, number = np.unique(vertices, axis=0, return_inverse=True)
-    size = max(float(np.ptp(vertices)), 1e-300)  # trimesh takes very small triangles for lines
-    mesh = trimesh.Trimesh(vertices / size, number.reshape(-1)[faces], process=False)
-    flat = mesh.face_adjacency_angles < SMOOTH
-    pair, edge = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
-    # The corner of each of the two faces (last axis) at each of the two ends of their edge.
-    corner = (mesh.faces[pair][:, None] == edge[:, :, None, None]).argmax(axis=-1) + 3 * pair[:, None]
-    label = trimesh.graph.connected_component_labels(corner.reshape(-1, 2), node_count=3 * len(mesh.faces))
-    _, first = np.unique(label, return_index=True)
-    return vertices[mesh.faces.ravel()[first]].astype(np.float32), label.reshape(-1, 3).astype(np.uint32)
+    here = np.arange(len(corner))
+    there = here - here % 3 + (here + 1) % 3  # An edge of a face goes from corner `here` to `there`.
+    low, high = np.minimum(corner, corner[there]), np.maximum(corner, corner[there])
+    edge = low * len(vertices) + high
+    order = np.argsort(edge, kind="stable")
+    first = np.flatnonzero(np.diff(edge[order], prepend=-1))
+    first = first[np.diff(first, append=len(order)) == 2]
+    one, other = order[first], order[first + 1]
+    flat = np.einsum("ij,ij->i", normal[one // 3], normal[other // 3]) > np.cos(SMOOTH)
+    one, other = one[flat], other[flat]
+    along = corner[one] == corner[other]
+    left = np.concatenate([one, there[one]])
+    right = np.concatenate([np.where(along, other, there[other]), np.where(along, there[other], other)])
+    label, before = here, None
+    while before is None or (label != before).any():  # Corners that are one vertex take the lowest of their numbers.
+        before, label = label, label.copy()
+        np.minimum.at(label, left, before[right])
+        np.minimum.at(label, right, before[left])
+        label = label[label]
+    lowest = label == here
+    points = vertices[np.ravel(faces)][lowest].astype(np.float32)
+    return points, (np.cumsum(lowest) - 1)[label].reshape(-1, 3).astype(np.uint32)
 
 
 def mapped(shape: Triangles, T: np.ndarray) -> Triangles:
@@ -344,8 +366,6 @@ def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
     """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
-    import trimesh
-
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
@@ -361,7 +381,10 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
-    straight = trimesh.creation.revolve(np.column_stack([np.ones(len(P)), np.arange(len(P))]), sections=10)
-    x, y = np.asarray(straight.vertices)[:, :2].reshape(10, -1, 2).transpose(2, 0, 1)[..., None]
-    vertices = (P + radius * (x * across + y * third)).reshape(-1, 3)
-    return DrawnShape(vertices.astype(np.float32), np.array(straight.faces, dtype=np.uint32), color, opacity)
+    angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3) points
+    vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
+    k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
+    a, b = 10 * k + j, 10 * k + (j + 1) % 10
+    faces = np.stack([np.stack([a, b, b + 10], -1), np.stack([a, b + 10, a + 10], -1)]).reshape(-1, 3)
+    return DrawnShape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)

@@ -181,10 +181,12 @@ def packed(shapes: Sequence[DrawnShape], meshes: Sequence[Mesh]) -> tuple[list[d
 
 def normals(shape: DrawnShape) -> np.ndarray:
     """Compute vertex normals (N, 3), weighted by the areas of the adjacent faces."""
-    import trimesh
-
-    areas = trimesh.triangles.cross(shape.vertices[shape.faces].astype(float))
-    return np.asarray(trimesh.geometry.mean_vertex_normals(len(shape.vertices), shape.faces, areas))
+    a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
+    face = np.cross(b - a, c - a)
+    total = np.zeros((len(shape.vertices), 3))
+    for k in range(3):
+        np.add.at(total, shape.faces[:, k], face)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
 
 
 def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:

@@ -200,7 +200,7 @@ def test_robots_of_any_size_are_drawn_or_refused(length):
 def test_tube_is_round_and_follows_its_line():
     P = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 2.0]])
     shape = tube(P, 0.1, (1, 0, 0))
-    rings = shape.vertices.reshape(10, -1, 3).transpose(1, 0, 2)
+    rings = shape.vertices.reshape(-1, 10, 3)
     assert len(rings) == 4 and shape.faces.max() < len(shape.vertices)
     assert np.allclose(rings.mean(axis=1), P[[0, 1, 2, 4]], atol=1e-6)
     assert np.allclose(np.linalg.norm(rings - rings.mean(axis=1, keepdims=True), axis=2), 0.1, atol=1e-6)
