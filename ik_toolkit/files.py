@@ -197,6 +197,14 @@ def read_json(path: Path, error: type[IKError]) -> Any:
         raise error(f"'{path.name}': its lists are nested too deep") from None
 
 
+def why_unread(error: Exception) -> str:
+    """Return in one line why a file cannot be read."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"it is not UTF-8 text (byte {error.start}); save it as UTF-8"
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(text.split())[:200] or type(error).__name__
+
+
 def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
     """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
 

@@ -17,6 +17,7 @@ class GainsOptions(PathOptions):
     """Options for the gains and where they are judged."""
 
     path: str | None = option("SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: at rest alone.")
+    method: str = option("NAME", "cv, av, ca, aa or aad.", "-m", "--method", default="cv")
 
 
 @options()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidTarget, near_match
-from ..files import NAMES, NUMBERS, check_arrays, read_json
+from ..files import NAMES, NUMBERS, check_arrays, read_json, why_unread
 from .pose import as_array
 from .ros import listed_poses
 
@@ -153,7 +153,7 @@ def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
     except InvalidTarget:
         raise
     except Exception as error:  # damaged files raise many types of errors
-        raise InvalidTarget(f"cannot read '{path.name}': {' '.join(str(error).split())[:200]}") from None
+        raise InvalidTarget(f"cannot read '{path.name}': {why_unread(error)}") from None
 
 
 def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: str) -> None:

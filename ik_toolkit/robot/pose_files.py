@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
-from ..files import without_mark
+from ..files import why_unread, without_mark
 from .pose_arrays import QUAT, quaternion_poses, read_arrays, read_tip_arrays, require_increasing, row_numbers, short
 from .rotation import euler_axes, euler_matrix, rotation_columns
 
@@ -118,19 +118,19 @@ def read_poses(
         raise
     # Damaged files raise many types of errors, such as those of zip, zlib, lzma, npy and csv.
     except Exception as error:
-        raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+        raise InvalidTarget(f"cannot read '{path.name}': {why_unread(error)}") from None
 
 
 def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarray]:
     """Return the names of all columns of a CSV file, and the numbers (N, len(names)) in some. Raises InvalidTarget."""
-    top = _read_top(path, ",".join(names) or "x,y,z")
-    for name in names:
-        if top.header.count(name) != 1:
-            many = "no column" if name not in top.header else "more than one column"
-            raise InvalidTarget(
-                f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}"
-            )
     try:
+        top = _read_top(path, ",".join(names) or "x,y,z")
+        for name in names:
+            if top.header.count(name) != 1:
+                many = "no column" if name not in top.header else "more than one column"
+                raise InvalidTarget(
+                    f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}"
+                )
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines, texts = zip(*_rows(stream, path.name, top.line), strict=True)
             return top.header, _numbers(
@@ -138,8 +138,10 @@ def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarra
             )
     except InvalidTarget:
         raise
-    except (OSError, UnicodeDecodeError, ValueError) as error:  # ValueError: there are no rows
-        raise InvalidTarget(f"'{path.name}' has no rows of numbers below its header ({_said(error)})") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidTarget(f"cannot read '{path.name}': {why_unread(error)}") from None
+    except ValueError:
+        raise InvalidTarget(f"'{path.name}' has no rows of numbers below its header") from None
 
 
 def _scaled(poses: np.ndarray, scale: float) -> np.ndarray:
@@ -147,11 +149,6 @@ def _scaled(poses: np.ndarray, scale: float) -> np.ndarray:
     if scale != 1.0:
         (poses[..., :3, 3] if poses.shape[-2:] == (4, 4) else poses)[...] *= scale
     return poses
-
-
-def _said(error: Exception) -> str:
-    """Shorten the message of a decoder's error to one line."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _lines(stream: TextIO, name: str) -> Iterator[str]:
@@ -315,7 +312,7 @@ def _read_csv(
                     first = end
                 yield PoseRows(t, made[""] if "" in made else made)
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+        raise InvalidTarget(f"cannot read '{path.name}': {why_unread(error)}") from None
 
 
 def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, prefix: str) -> np.ndarray:
@@ -358,7 +355,7 @@ def _numbers(texts: list[str], columns: list[int], top: _Top, lines: list[int], 
         try:
             row = next(csv.reader([text], delimiter=mark, strict=True))
         except csv.Error as error:
-            raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
+            raise InvalidTarget(f"'{name}', line {k}: {why_unread(error)}; unclosed quote?") from None
         if len(row) != width:
             hint = "; are decimals written with a comma?" if len(row) > width and mark == "," else ""
             more = "more" if len(row) > width else "fewer"

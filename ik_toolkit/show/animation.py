@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_path, check_arrays, read_json, require_place, whole_file, without_mark, write_whole
+from ..files import as_path, check_arrays, read_json, require_place, whole_file, why_unread, without_mark, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
 from ..robot.ros import is_by_name
@@ -320,7 +320,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     except InvalidConfiguration:
         raise
     except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
-        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
+        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
     if missing := [joint for joint in robot.joint_names if joint not in names]:
         raise InvalidConfiguration(
             f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"

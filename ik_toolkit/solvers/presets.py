@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
-from ..files import write_whole
+from ..files import why_unread, write_whole
 from .options import make_options
 from .registry import make_rule
 
@@ -37,7 +37,7 @@ def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
             raise InvalidOption(f"preset {name} is too large")
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InvalidOption(f"preset {name} cannot be read: {error}") from None
+        raise InvalidOption(f"preset {name} cannot be read: {why_unread(error)}") from None
     if content.get("solver") != solver:
         raise InvalidOption(f"preset {name} is for solver '{content.get('solver')}', not '{solver}'")
     return content

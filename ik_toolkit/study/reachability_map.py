@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..files import as_output, as_path, check_arrays, whole_file
+from ..files import as_output, as_path, check_arrays, whole_file, why_unread
 from ..robot.pose import check_target
 from ..text import TextTable, figure, length
 from ..validate import number, one_of
@@ -278,7 +278,7 @@ class ReachabilityMap:
             ):
                 raise ValueError
         except OSError as error:
-            raise InvalidOption(f"cannot read the map '{path.name}': {error.strerror or error}") from None
+            raise InvalidOption(f"cannot read the map '{path.name}': {why_unread(error)}") from None
         except InvalidOption:
             raise
         except Exception:

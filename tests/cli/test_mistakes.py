@@ -99,6 +99,11 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         ([*SOLVE, "--limit", "wrist_roll:-0,5:0,5"], "not 'wrist_roll:-0,5:0,5'; write decimals with a point"),
         ([*SOLVE[:2], "--target", "tool:1,5", "0", "0,3"], "write decimals with a point: --target tool: 1.5 0 0.3"),
         (["track", "planar_2r", "--duration", "1,5"], "write decimals with a point: --duration 1.5"),
+        (
+            ["solve", "hydrolek_7w", "--xyz", *"110", "--group", "arm"],
+            "the robot has no SRDF with groups; name its file (--srdf)",
+        ),
+        (["dh", "gone.toml"], "cannot read the D-H table 'gone.toml': No such file or directory"),
     ],
     ids=lambda value: " ".join(value[-4:]) if isinstance(value, list) else None,
 )
@@ -106,6 +111,26 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(run, arguments, says):
     code, out, err = run(*arguments)
     assert code == 2 and not out
     assert err.startswith("ik: ") and err.count("\n") == 1 and says in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["solve", "hydrolek_7w", "--output", "o.csv", "--targets"],
+        ["path", "hydrolek_7w", "--poses"],
+        ["track", "hydrolek_7w", "--path"],
+        ["place", "hydrolek_7w", "--poses"],
+        ["calibrate", "hydrolek_7w", "--data"],
+        ["view", "hydrolek_7w", "--html", "o.html", "--motion"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_file_of_another_encoding_is_named_as_such(run, tmp_path, monkeypatch, arguments):
+    """Spreadsheets save accented names as Latin-1."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "latin.csv").write_bytes("t,x,y,z,pièce\n0,1,0.1,0.2,1\n1,1,0.2,0.2,2\n".encode("latin-1"))
+    code, out, err = run(*arguments, "latin.csv")
+    assert code == 2 and not out and "it is not UTF-8 text (byte 10); save it as UTF-8" in err
 
 
 def test_numbers_may_be_separated_by_commas_or_grouped(run):

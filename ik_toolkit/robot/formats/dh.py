@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
+from ...files import why_unread
 from ..rotation import rpy_matrix
 from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
 
@@ -124,7 +125,7 @@ def read_dh_table(path: str | Path) -> DHTable:
     try:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
-        raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {error}") from None
+        raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {why_unread(error)}") from None
     if len(raw) > MAX_BYTES:
         raise ModelError(f"the D-H table '{path.name}' is larger than {MAX_BYTES // 1_000_000} MB")
     try:

@@ -121,6 +121,10 @@ class Srdf:
     def _members(self, name: str) -> Group:
         """Return a group merged with all its subgroups. Raises InvalidOption if it does not exist."""
         if name not in self.groups:
+            if not self.groups:
+                raise InvalidOption(
+                    f"there is no group '{name}': the robot has no SRDF with groups; name its file (srdf=)"
+                )
             raise InvalidOption(f"the SRDF has no group '{name}'.{near_match(name, self.groups)}")
         waiting, seen, found = [name], set[str](), Group(name)
         while waiting:

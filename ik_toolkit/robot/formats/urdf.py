@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ...errors import ModelError
+from ...files import why_unread
 
 
 class UrdfCaps(NamedTuple):
@@ -145,7 +146,7 @@ def _read_file(path: Path) -> str:
             with path.open("rb") as file:
                 raw = file.read(CAPS.bytes + 1)
     except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
-        raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
+        raise ModelError(f"cannot read {shown}: {why_unread(error)}") from None
     if not regular:
         raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
     if len(raw) > CAPS.bytes:
