@@ -131,7 +131,7 @@ def _escape_md(text: str) -> str:
 
 def solvers_page() -> str:
     """Table of the registry."""
-    from ik_toolkit.solvers.registry import ROWS
+    from ik_toolkit.solvers.rows import ROWS
 
     return table(
         ["name", "how", "handles", "source"],

@@ -20,8 +20,9 @@ from .robot.robot import Robot
 from .robot.tree import Tree
 from .solvers.batch.solve_batch import solve_batch
 from .solvers.protocol import Asked
-from .solvers.registry import Row, find_row
+from .solvers.registry import find_row
 from .solvers.result import Result
+from .solvers.rows import Row
 from .solvers.solve import Solver
 from .solvers.status import Status
 

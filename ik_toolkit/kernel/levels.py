@@ -28,6 +28,9 @@ class LevelSteps(NamedTuple):
     # optimality test: norm of the gradient in the null space as a share of the error, and ten times the largest multiplier of the
     # wrong sign
     first_order: float = 1e-6
+    # squared error below which the gradient no longer has to fall with it: only directions flatter than `flat` are left there, such
+    # as the free turn of a tool whose axis in the description is rounded, worth microradians over a whole turn
+    small: float = 1e-8
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
@@ -109,7 +112,7 @@ def slope_of_level(p, c, level, out):
 
 @inner
 def size_of_level(p, e, c, level):
-    """Return the squared error of level c, or its tolerance where that is larger, and at most 1.
+    """Return the squared error of level c, or its tolerance where that is larger, but between QUADRATIC.small and 1.
 
     The gradient is compared with it: near a pose that is almost reached, along a direction that hardly turns the tip, the gradient
     alone is small long before the error is.
@@ -119,7 +122,7 @@ def size_of_level(p, e, c, level):
         if level[g] == c:
             value += p.group(e, g)
             allowed += p.allowed(g)
-    return min(max(value, allowed), 1.0)
+    return min(max(value, allowed, QUADRATIC.small), 1.0)
 
 
 @inner

@@ -22,7 +22,8 @@ from .closed_form_then_search import with_search
 from .options import PLAIN, Options
 from .postprocess import FEW, finishing
 from .protocol import Asked, misfit, parameters, require
-from .registry import GENERAL, Row, find_row, search_for
+from .registry import GENERAL, find_row, search_for
+from .rows import Row
 from .task import group_levels, kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # share of a tolerance that the compiled search uses, so that rounding in Pinocchio cannot disagree

@@ -21,7 +21,8 @@ from .closed_form.geometry import Branches, Fit
 from .closed_form.nearest import nearest_of
 from .explain.worked_solution import WorkedSolution, listed_branches
 from .options import NAMES, Options
-from .registry import GENERAL, Row, find_row
+from .registry import GENERAL, find_row
+from .rows import Row
 from .task import counted_rows, counts_in_part
 
 Class = TypeVar("Class", bound=type)

@@ -6,217 +6,26 @@ by an entry point of the group `ik_toolkit.solvers`, named as the solver and lea
     [project.entry-points."ik_toolkit.solvers"]
     half-step = "my_package.rows:HALF_STEP"
 
-where `my_package/rows.py` imports only this module and defines HALF_STEP = Row("half-step", "my_package.half_step:HalfStep", ...).
-So its solvers are listed without importing the code that solves.
+where `my_package/rows.py` imports only `ik_toolkit.solvers.rows` and defines
+HALF_STEP = Row("half-step", "my_package.half_step:HalfStep", ...). So its solvers are listed without importing the code that
+solves.
 """
 
 import functools
 import hashlib
-import importlib
 import importlib.util
 import logging
-import math
 import re
 import sys
 import traceback
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from ..errors import IKError, InvalidOption, UnknownSolver, near_match, nearest
+from ..errors import InvalidOption, UnknownSolver, near_match, nearest
+from .rows import CLOSED_FORM, ROWS, Row
 
-
-class Length(NamedTuple):
-    """How long a search continues by default.
-
-    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair: precomputed
-    starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given up later from
-    attempt number `patience` on (the attempt from q0 is not counted).
-    """
-
-    iterations: int = 1000  # largest number of iterations of an attempt
-    attempts: int = 1
-    give_up: tuple[float, float, float, float] | None = None
-    patience: float = math.inf
-
-
-LENGTH = Length()
-
-
-@dataclass(frozen=True)
-class Row:
-    """The registry's entry for a solver: what is known without importing it.
-
-    `target` is "module:Class" of the rule or closed form, `search` its default length, `several` the same for several tips if that
-    differs. `pose` and `position` say whether it solves such targets. A solver that is `one_tip` is not for several tips; one that
-    `moves_all` moves every joint, so none can be held by a weight of 0; one that `tracks` makes sense with one step per sample.
-    `joints` are the numbers of joints that a closed form may fit, which 'auto' uses. `levels` is true of the solver that serves the
-    option `priority`. `package` is the package it comes from, if not this one (see `registered`), `cls` the class if it need not be
-    imported. A solver declares everything else itself (see `protocol`).
-    """
-
-    name: str
-    target: str
-    summary: str
-    handles: str
-    citation: str
-    search: Length = LENGTH
-    several: Length | None = None
-    closed: bool = False
-    pose: bool = True
-    position: bool = True
-    one_tip: bool = False
-    moves_all: bool = False
-    tracks: bool = True
-    joints: tuple[int, ...] = ()
-    levels: bool = False
-    package: str = ""
-    cls: Any = None
-
-    def load(self) -> Any:
-        """Import and return the class. Raises UnknownSolver if another package's class cannot be imported or is not a solver."""
-        if self.cls is not None:
-            return self.cls
-        module, name = self.target.split(":")
-        try:
-            cls = getattr(importlib.import_module(module), name)
-        except Exception as error:
-            if not self.package or isinstance(error, IKError):
-                raise
-            what = f"{type(error).__name__}: {error}"
-            raise UnknownSolver(f"solver '{self.name}' of package {self.package} cannot be loaded: {what}") from error
-        if not hasattr(cls, "loop"):
-            raise UnknownSolver(
-                f"solver '{self.name}': {self.target} is not a solver; put @ik_toolkit.rule above the class"
-            )
-        return cls
-
-    def length(self, tips: int = 1) -> Length:
-        """Return how long the search continues for this number of tips."""
-        return self.several if tips > 1 and self.several is not None else self.search
-
-
-_RULES = "ik_toolkit.solvers.rules."
-_CLOSED = "ik_toolkit.solvers.closed_form."
-_CLOSED_FORM: dict[str, Any] = dict(search=Length(0), closed=True, one_tip=True, moves_all=True, tracks=False)
-ROWS: tuple[Row, ...] = (
-    Row(
-        "lm",
-        _RULES + "jacobian:LM",
-        "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
-        "any robot; position, pose, masks",
-        "Sugihara 2011",
-        # The bounds that end an attempt early were measured on six arms; easy targets are solved by attempt 20.
-        search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
-        several=Length(40, 400, (60.0, 0.25, 200.0, 0.4)),
-    ),
-    Row(
-        "dls",
-        _RULES + "jacobian:DLS",
-        "Damped least squares with constant damping",
-        "any robot; position, pose, masks",
-        "Wampler 1986",
-    ),
-    Row(
-        "pinv",
-        _RULES + "jacobian:Pinv",
-        "Jacobian pseudo-inverse by singular values",
-        "any robot; position, pose, masks",
-        "Whitney 1969; Burrell 2016 eq. 7",
-    ),
-    Row(
-        "transpose",
-        _RULES + "jacobian:Transpose",
-        "Jacobian transpose with the exact line-search gain",
-        "any robot; position, pose, masks; slow near the solution",
-        "Buss 2004; Burrell 2016 eq. 11-12",
-        search=Length(5000),
-    ),
-    Row(
-        "newton",
-        _RULES + "jacobian:Newton",
-        "Newton-Raphson, plain or with a line search; stops where the Jacobian has no inverse",
-        "square tasks only: as many task rows as joints",
-        "Chinyai eq. 6-9",
-        search=Length(100),
-        one_tip=True,
-        moves_all=True,
-        tracks=False,
-    ),
-    Row(
-        "ccd",
-        _RULES + "ccd:CCD",
-        "Cyclic coordinate descent, one joint at a time from the tip",
-        "any robot; position exact per joint, pose by least squares per joint",
-        "Wang and Chen 1991; Olsen and Petersen 2011",
-    ),
-    Row(
-        "pid",
-        _RULES + "pid:PID",
-        "IK-PID: each joint's step from a PID law on the error, its sign found by trial",
-        "any robot; position, pose with scaled orientation",
-        "Burrell 2016, Algorithm I",
-    ),
-    Row(
-        "state-space",
-        _RULES + "state_space:StateSpace",
-        "A static linear system maps the error to joint increments, no Jacobian",
-        "any robot; position (B n x 3) or pose (B n x 6)",
-        "Burrell 2016, Algorithm II",
-        one_tip=True,
-    ),
-    Row(
-        "sqp",
-        _RULES + "sqp:SQP",
-        "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
-        "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
-        "Nocedal and Wright 2006, ch. 18",
-        # First 48 attempts with all errors at one level, if the arm has as many joints as errors, then at most 30 by level.
-        search=Length(40, 78, (30.0, 0.18, 100.0, 0.35), 20),
-        several=Length(60, 108, (60.0, 0.25, 200.0, 0.4)),
-        tracks=False,
-        levels=True,
-    ),
-    Row(
-        "planar-2r",
-        _CLOSED + "planar_2r:Planar2R",
-        "Closed form of a planar two-link arm: both elbow branches; returns the one within limits nearest q0",
-        "two revolute joints with parallel axes (recognised by geometry); position",
-        "Chinyai eq. 1-5, corrected",
-        **_CLOSED_FORM,
-        pose=False,
-        joints=(2,),
-    ),
-    Row(
-        "inspection",
-        _CLOSED + "inspection:Inspection",
-        "Closed form of a spherical shoulder on a lift: 8 branches at each lift; returns the one within limits nearest q0",
-        "a lift and six revolute joints of the inspection robot's structure (recognised by geometry); pose",
-        "Shanmugasundar 2012 eq. 7-13, completed",
-        **_CLOSED_FORM,
-        position=False,
-        joints=(6, 7),
-    ),
-    Row(
-        "elimination",
-        _CLOSED + "elimination:Elimination",
-        "Every solution by elimination, with a certificate that it is all; returns the one within limits nearest q0",
-        "any six revolute joints; pose",
-        "Raghavan and Roth 1993; Manocha and Canny 1994",
-        **_CLOSED_FORM,
-        position=False,
-    ),
-    Row(
-        "eaik",
-        _CLOSED + "eaik:EAIK",
-        "All solutions of the EAIK package, re-evaluated; returns the one within limits nearest q0",
-        "six revolute joints of a structure EAIK decomposes (extra `analytic`); pose",
-        "Ostermeier, Kuelz, Althoff 2025",
-        **_CLOSED_FORM,
-        position=False,
-    ),
-)
 GROUP = "ik_toolkit.solvers"  # group of the entry points by which packages offer solvers
 # names have no commas or colons, which commands use in lists and in FILE:CLASS
 NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")
@@ -267,7 +76,7 @@ def _row(point: Any) -> Row:
     """Return the row of an entry point. Raises InvalidOption for anything but a row, or an unusable name."""
     row = point.load()
     if not isinstance(row, Row):
-        raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.registry")
+        raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.rows")
     if row.name != point.name:
         raise InvalidOption(f"its row has the name '{row.name}'")
     if not NAME.fullmatch(row.name) or row.name == "auto":
@@ -307,7 +116,7 @@ def find_row(solver: Any) -> Row:
 def _own(cls: type) -> Row:
     """Make a registry row for a user's own solver class, whose class attributes may set the fields of the row."""
     said = {name: getattr(cls, name) for name in OWN if hasattr(cls, name)}
-    kind = _CLOSED_FORM if hasattr(cls, "every") else {}
+    kind = CLOSED_FORM if hasattr(cls, "every") else {}
     summary = (cls.__doc__ or cls.__name__).splitlines()[0]
     target = f"{cls.__module__}:{cls.__qualname__}"
     return Row(cls.__name__, target, summary, "a solver of your own", "", **{**kind, **said, "cls": cls})

@@ -18,7 +18,8 @@ from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.presets import write_preset
 from ..solvers.protocol import misfit
-from ..solvers.registry import Row, find_row, make_rule
+from ..solvers.registry import find_row, make_rule
+from ..solvers.rows import Row
 from ..solvers.solve import require_robot
 from ..solvers.tuning_space import Space
 from ..validate import number, one_of

@@ -53,7 +53,7 @@ def test_info_of_a_robot_with_two_tips_shows_both(run):
 
 
 def test_solvers_lists_every_row_and_the_parameters_of_one(run):
-    from ik_toolkit.solvers.registry import ROWS
+    from ik_toolkit.solvers.rows import ROWS
 
     code, out, _ = run("solvers")
     assert code == 0 and all(row.name in out for row in ROWS)

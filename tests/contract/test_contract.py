@@ -5,7 +5,8 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.solvers.options import make_options
-from ik_toolkit.solvers.registry import BY_NAME, ROWS
+from ik_toolkit.solvers.registry import BY_NAME
+from ik_toolkit.solvers.rows import ROWS
 from ik_toolkit.testing import CLAUSES, Case
 
 ARMS = (

@@ -13,7 +13,7 @@ from folders import ROOT
 
 import ik_toolkit as ik
 from ik_toolkit.cli import MODULES, main
-from ik_toolkit.solvers.registry import ROWS
+from ik_toolkit.solvers.rows import ROWS
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 HEAVY = {

@@ -8,7 +8,7 @@ import pytest
 import ik_toolkit as ik
 from ik_toolkit.robot.pose import AxisTarget, Matrix, Position
 from ik_toolkit.solvers.options import NAMES, AllOptions, BatchOptions, SolveOptions
-from ik_toolkit.solvers.registry import ROWS
+from ik_toolkit.solvers.rows import ROWS
 
 
 def test_every_option_is_told_and_no_parameter_that_no_solver_has():

@@ -12,7 +12,8 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption, UnknownSolver
-from ik_toolkit.solvers.registry import ROWS, Length, find_row, list_rows, registered, solver_from_file
+from ik_toolkit.solvers.registry import find_row, list_rows, registered, solver_from_file
+from ik_toolkit.solvers.rows import ROWS, Length
 
 RULE = '''
 from typing import NamedTuple
@@ -32,7 +33,7 @@ class HalfStep(NamedTuple):
         return 0
 '''
 ROW = """
-from ik_toolkit.solvers.registry import Length, Row
+from ik_toolkit.solvers.rows import Length, Row
 
 HALF = Row("half-step", "{module}.half:HalfStep", "Half of the gradient", "any robot", "nobody", search=Length(500))
 """

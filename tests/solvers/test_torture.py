@@ -13,7 +13,7 @@ from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
-from ik_toolkit.solvers.registry import ROWS
+from ik_toolkit.solvers.rows import ROWS
 
 
 def honest(robot, batch, T, position_only, tolerance):

@@ -41,7 +41,7 @@ def describe_fit(robot: Any) -> str:
 
 def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
     from ...kernel.counted_error import POSE, POSITION
-    from ..registry import ROWS
+    from ..rows import ROWS
 
     found: dict[int, tuple[str, float]] = {}
     for row in ROWS:
