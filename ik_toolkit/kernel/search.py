@@ -83,7 +83,7 @@ class SearchInput(NamedTuple):
 
 @compiled
 class Patience(NamedTuple):
-    """How long an attempt may continue: it is given up when its squared error exceeds ceiling * decay^iteration."""
+    """Limits of an attempt, which is given up when its squared error exceeds ceiling * decay^iteration."""
 
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]

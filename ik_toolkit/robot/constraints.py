@@ -41,7 +41,7 @@ class Loop(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the constraint is called in messages."""
+        """The name of the constraint's kind in messages."""
         return "weld" if self.weld else "loop"
 
 
@@ -71,7 +71,7 @@ class Relation(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the relation is called in messages."""
+        """The name of the relation's kind in messages."""
         return "equality" if self.low == self.high else "range of tendon"
 
 

@@ -19,7 +19,7 @@ CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten tim
 
 
 class Guarding(NamedTuple):
-    """How the arm is slowed near obstacles, and how much is done to prove a step free of contact."""
+    """Constants that set how the arm is slowed near obstacles, and how much work goes into proving a step free of contact."""
 
     # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
     keep: float = 0.005

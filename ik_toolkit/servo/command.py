@@ -51,7 +51,7 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """What changes from step to step: the number of inequality constraints, and the length h of the step [s]."""
+    """Values that change from step to step: the number of inequality constraints, and the length h of the step [s]."""
 
     rows: int
     h: float

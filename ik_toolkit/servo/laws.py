@@ -140,7 +140,7 @@ class JointMotion(NamedTuple):
 
 @compiled
 class Briskness(NamedTuple):
-    """How fast an error may be closed."""
+    """Limits on how fast an error may be closed."""
 
     fast: float  # share of each joint's speed limit that may be used
     quick: float  # share of each joint's acceleration limit that may be used

@@ -21,7 +21,7 @@ from .command import SHARE
 
 
 class Sampling(NamedTuple):
-    """How a path is sampled and followed for the product of its steps."""
+    """Constants that set how a path is sampled and followed to compute the product of its steps."""
 
     largest: float = 700.0  # just below the logarithm of the largest factor that a float can hold
     most: int = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds

@@ -189,7 +189,7 @@ class Tracker(CopiesViews, ReadOnly):
     ) -> None:
         """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
 
-        Joints beyond a new limit are brought back (RECOVERING); at a speed limit of 0 a joint brakes and stays. Raises InvalidOption.
+        Joints beyond a new limit are brought back (RECOVERING); at a speed limit of 0 they brake and stay. Raises InvalidOption.
         """
         given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
         self._limits[:] = changed_limits(self.robot, self._limits, given)

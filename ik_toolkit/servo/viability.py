@@ -34,7 +34,7 @@ UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed lim
 
 @compiled
 class LimitMargins(NamedTuple):
-    """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
+    """Margins that keep joints inside their position limits despite rounding, and the speed at which they return from outside."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps

@@ -279,7 +279,7 @@ class Deciding(Plan):
 
     @functools.cached_property
     def within(self) -> float:
-        """How far from the unit circle a complex root may be if a real pose near it is to be within the tolerances."""
+        """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
     @property

@@ -321,7 +321,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
 
 
 class Slicing(NamedTuple):
-    """How a seven-joint arm is reduced to six joints: by fixing its first joint, or its last."""
+    """A reduction of a seven-joint arm to six joints: its first or its last joint is fixed."""
 
     joint: int  # index of the fixed joint, 0 or 6
     screws: Screws
