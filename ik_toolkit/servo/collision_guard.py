@@ -18,7 +18,7 @@ ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's 
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
 
 
-class Guarding(NamedTuple):
+class GuardThresholds(NamedTuple):
     """Constants that set how the arm is slowed near obstacles, and how much work goes into proving a step free of contact."""
 
     # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
@@ -37,7 +37,7 @@ class Guarding(NamedTuple):
     parts: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64)
 
 
-GUARD = Guarding()
+GUARD = GuardThresholds()
 
 
 class Path(NamedTuple):

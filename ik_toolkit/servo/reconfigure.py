@@ -132,7 +132,7 @@ def locked(limits: np.ndarray) -> bool:
 FAST = VELOCITY | RECOVERING  # bits of the limits that hold a joint back only temporarily
 
 
-class Searching(NamedTuple):
+class SearchConstants(NamedTuple):
     """Constants that set when another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
@@ -147,7 +147,7 @@ class Searching(NamedTuple):
     elsewhere: float = 0.02
 
 
-class Moving(NamedTuple):
+class MoveConstants(NamedTuple):
     """Constants for the cost of a move to another posture, and for when such a move begins and ends."""
 
     standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
@@ -161,8 +161,8 @@ class Moving(NamedTuple):
     close: float = 1e-3
 
 
-SEARCH = Searching()
-MOVE = Moving()
+SEARCH = SearchConstants()
+MOVE = MoveConstants()
 
 
 class Reconfiguration:

@@ -25,7 +25,7 @@ from .methods import Method
 from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .null_space_motion import Secondary, read_secondary
 from .reconfigure import REACHED, Postures, Reconfiguration, Taken
-from .step import Judged, Step, make_outcome
+from .step import StatusContext, Step, make_outcome
 from .target_jump import STRAIGHT, Leap, ways
 from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
@@ -324,7 +324,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(weights.reshape(-1, 2, 3)[:, 1].any(axis=1).tolist())
         firm = np.array(group_levels(self.robot, self.engine.options)).reshape(-1, 2) == 0
-        self._judged = Judged(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
+        self._judged = StatusContext(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:

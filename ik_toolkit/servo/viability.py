@@ -46,7 +46,7 @@ MARGIN = LimitMargins()
 
 
 @compiled
-class Calming(NamedTuple):
+class OscillationThresholds(NamedTuple):
     """Thresholds by which a joint counts as oscillating, and limits on the acceleration of such a joint.
 
     Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
@@ -63,7 +63,7 @@ class Calming(NamedTuple):
     growth: float = 10.0  # [1/s] factor of a joint's speed in the bound that `gain` describes
 
 
-CALMING = Calming()
+CALMING = OscillationThresholds()
 
 
 @compiled

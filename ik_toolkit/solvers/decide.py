@@ -61,7 +61,7 @@ class Blocked(NamedTuple):
     solutions: int  # number of solutions if limits are ignored
 
 
-class Listed(NamedTuple):
+class ListedSolutions(NamedTuple):
     """All solutions of a target that the elimination lists."""
 
     q: np.ndarray  # (K, n) [rad], shifted by 2 pi k into the limits, nearest the start
@@ -288,12 +288,12 @@ class Deciding(Plan):
         free = np.full(self.robot.n, np.inf)
         return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
-    def list_at(self, T: np.ndarray, near: np.ndarray) -> Listed:
+    def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)
-        return Listed(q, excess, said.certificate)
+        return ListedSolutions(q, excess, said.certificate)
 
 
 def blocked(result: Any) -> Blocked | None:
