@@ -62,7 +62,7 @@ class JacobianDerivatives(NamedTuple):
     """Jacobians at N configurations and their derivatives with respect to the n joints.
 
     J: (N, m, n); H: (N, m, n, n), where H[:, :, j, i] is the derivative of column j with respect to joint i; third: takes x and y
-        (N, n) and returns the derivative (N, m, n) of the product (dJ/dt along x) y with respect to each joint.
+    (N, n) and returns the derivative (N, m, n) of the product (dJ/dt along x) y with respect to each joint.
     """
 
     J: np.ndarray

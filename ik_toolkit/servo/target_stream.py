@@ -136,10 +136,9 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
 
     samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `RestState`;
     how: READ, CHECK or REFUSED (the target is checked, to be checked, or not finite). posed: bit f is set if tip f has an
-        orientation.
-    first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether they are
-    given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN, DOUBTFUL
-    (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
+    orientation. first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether
+    they are given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN,
+    DOUBTFUL (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
