@@ -235,7 +235,8 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
     try:
         sources = {source for thing in (function, *parts) for source in _sources(thing)}
         return DiskCache(function, what, stamp_of(*STAMPED, *sorted(sources)))
-    except (RuntimeError, OSError) as error:  # There is no folder to write to, or no source file to hash.
+    # numba finds no folder to write to, or the function has no source file to hash
+    except (RuntimeError, OSError) as error:
         return MemoryCache(what, str(error))
 
 

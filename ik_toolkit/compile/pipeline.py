@@ -236,7 +236,7 @@ class CalledLibrary(PartLibrary):
 OWN = {"forceinline", "dbg_optnone"}
 
 
-class Quick(Flags):
+class FastFlags(Flags):
     """numba's compiler options, compared faster because only the few options that were set are compared.
 
     numba compares options whenever it looks for an overload, which is for every operator of every function, and its own
@@ -248,10 +248,10 @@ class Quick(Flags):
         return self._values
 
     def __hash__(self) -> int:
-        return hash(Quick)  # One hash for all is enough, because numba looks up the types of a call first.
+        return hash(FastFlags)  # One hash for all is enough, because numba looks up the types of a call first.
 
     def __eq__(self, other: Any) -> bool:
-        return isinstance(other, Quick) and self._shared() == other._shared()
+        return isinstance(other, FastFlags) and self._shared() == other._shared()
 
     def _shared(self) -> dict:
         return {name: value for name, value in self._values.items() if name not in OWN}
@@ -286,7 +286,7 @@ class PartPipeline(Compiler):
         """Compile a function without the code by which Python would call it."""
         state = self.state
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
-        state.flags = Quick(state.flags)
+        state.flags = FastFlags(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
         # the context is numba's copy for this function, so its class may be changed
         state.targetctx.__class__ = PartContext

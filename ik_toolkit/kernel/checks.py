@@ -19,7 +19,7 @@ LAST_ROW = 1e-9  # largest difference between a pose's last row and 0 0 0 1
 FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their squares would overflow.
 
 
-class Proofs(NamedTuple):
+class ProofThresholds(NamedTuple):
     """Thresholds for the status of an attempt: target out of reach, singular, or blocked by limits."""
 
     # A target counts as unreachable only if it is out of reach by more than this [lengths over the reach], which exceeds rounding.
@@ -31,7 +31,7 @@ class Proofs(NamedTuple):
     blocked: float = 1e-4
 
 
-PROOF = Proofs()
+PROOF = ProofThresholds()
 
 
 @inner

@@ -27,7 +27,7 @@ class Bodies(NamedTuple):
     by_b: np.ndarray  # (P, E) whether a joint moves only the second shape of a pair
 
 
-class Facing(NamedTuple):
+class NearPairs(NamedTuple):
     """Pairs of shapes whose nearest points are known, one row for each pair."""
 
     ks: np.ndarray  # (K,) indices of the pairs in `Bodies`
@@ -51,7 +51,7 @@ class HalfPlanes(NamedTuple):
 
     A: np.ndarray  # (R, n) speed of approach of a pair per unit of each joint rate
     b: np.ndarray  # (R,) highest speed [m/s] at which the pair may approach
-    order: np.ndarray  # (R,) row of `Facing` (the pair of shapes) that each constraint is for
+    order: np.ndarray  # (R,) row of `NearPairs` (the pair of shapes) that each constraint is for
 
 
 class Separation(NamedTuple):
@@ -167,7 +167,7 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
     Args:
         parts: `Bodies` at the current configuration.
-        facing: The pairs, as `Facing`.
+        facing: The pairs, as `NearPairs`.
         rate: (n,) current joint rates [rad/s or m/s].
         deceleration: (n,) braking deceleration of the joints [rad/s^2 or m/s^2].
         rules: Thresholds, as `Approach`.

@@ -16,7 +16,7 @@ WORST = 1e300  # a squared error above any other
 
 
 class Phases(NamedTuple):
-    """How an attempt treats the levels of errors."""
+    """Codes of how an attempt treats the levels of errors."""
 
     at_once: int = 0  # all errors are at one level
     constrained: int = 1  # level 0 is a constraint

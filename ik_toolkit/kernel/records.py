@@ -31,7 +31,7 @@ class Orders(NamedTuple):
     rho: float  # decay of that bound per iteration, see c
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
     rho_free: float  # decay of that bound per iteration, see c_free
-    patience: float  # number of the first attempt that gets more iterations, see `search.Endings`; inf if none does
+    patience: float  # number of the first attempt that gets more iterations, see `search.GiveUpRules`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
     seed: float  # seed of the random starts

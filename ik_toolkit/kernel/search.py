@@ -47,7 +47,7 @@ SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
 GOING, STILL = -1, -2
 
 
-class Endings(NamedTuple):
+class GiveUpRules(NamedTuple):
     """Numbers that decide when an attempt or a whole search is given up.
 
     An attempt is given up when its squared error exceeds a bound that falls in each iteration. Near a singular pose
@@ -64,7 +64,7 @@ class Endings(NamedTuple):
     rest: float = 1e-9
 
 
-END = Endings()
+END = GiveUpRules()
 
 
 @compiled
@@ -83,7 +83,7 @@ class SearchInput(NamedTuple):
 
 @compiled
 class Patience(NamedTuple):
-    """How long an attempt may continue: it is given up when its squared error exceeds ceiling * decay^iteration."""
+    """Limits of an attempt, which is given up when its squared error exceeds ceiling * decay^iteration."""
 
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]

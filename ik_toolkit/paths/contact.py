@@ -194,7 +194,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
     return max(least, 0.0)
 
 
-class _Stretch(NamedTuple):
+class _SegmentCheck(NamedTuple):
     """Result for a segment: whether it is proven free, the margin factor left [rad], and the share (0 to 1) of a contact, or -1."""
 
     proven: bool
@@ -204,7 +204,7 @@ class _Stretch(NamedTuple):
 
 def _between(
     margins: Margins, a: np.ndarray, b: np.ndarray, ends: tuple[float, float], moves: tuple[float, float], most: int
-) -> _Stretch:
+) -> _SegmentCheck:
     """Test the straight joint move from a to b (n,) for contact, by bisection, until margins prove every part free.
 
     ends: margin factors with which a and b are free; moves: margin factors used up by the straight line, which halve with each
@@ -224,9 +224,9 @@ def _between(
             enough = max((k for k, level in enumerate(margins.levels) if level >= 0.5 * needed), default=0)
             kept, _ = margins.around(a + middle * (b - a), enough)
             if kept < 0.0:
-                return _Stretch(False, 0.0, middle)
+                return _SegmentCheck(False, 0.0, middle)
             stack += [(middle, high, kept, last), (low, middle, first, kept)]
-    return _Stretch(proven, spare if proven else 0.0, -1.0)
+    return _SegmentCheck(proven, spare if proven else 0.0, -1.0)
 
 
 SECONDS = 2.0  # time limit [s] of the search of `connect`

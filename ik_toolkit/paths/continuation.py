@@ -67,7 +67,7 @@ def within(q, old, most):
     return True
 
 
-class Guided(NamedTuple):
+class PathBounds(NamedTuple):
     """A path that solutions are continued along, and the bounds they must keep, see `carry_along`."""
 
     T: Array  # (N, 4, 4) or (N, F, 4, 4) the path's poses
@@ -84,7 +84,7 @@ def advance_to_pose(p, o, weights, path, t, u, last, old, new):
     If the whole step fails, it is first tried again from the configuration to which the motion from `last` to q would lead. The
     motion then keeps its direction through a singular pose, where the solution nearest to q may turn back.
 
-    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`; last (n,): the solution of the pose before,
+    p, o: problem and Orders; weights (n,): joint weights; path: see `PathBounds`; last (n,): the solution of the pose before,
     or what q is if there is none. old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
     """
     q, pose, deviation = p.desk.q, path.pose, path.deviation
@@ -138,7 +138,7 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
     """
     n, tips = seeds.shape[1], ends.size // ends.shape[-1]
     block, pose = np.empty(space(n, 6 * tips, rows.shape[0], 0)), np.empty_like(T[0])
-    path = Guided(view(T), view(pose), Bounds(view(limits)), view(most), view(deviation))
+    path = PathBounds(view(T), view(pose), Bounds(view(limits)), view(most), view(deviation))
     tracks = view(seeds), view(at), view(columns), view(Q), view(span)
     carry_on_views(view(rows), view(ends), view(orders), path, tracks, view(block))
     keep(block)

@@ -33,7 +33,7 @@ LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for
 LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to pi
 
 
-class Speeds(NamedTuple):
+class SegmentBounds(NamedTuple):
     """Upper bounds (M-1,) on a tip's motion over each segment between two rows, whose parameter runs from 0 to 1.
 
     speed, bend [m]: bounds on the first and second derivative of the tip's position; turn, twist [rad]: bounds on its
@@ -176,7 +176,7 @@ def bounds(
             continue
         goal = interpolate_poses(T[:, [f]], at, (kind,))[:, 0]
         other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
-        tip = Between(tips[f], poses[f], goal, other, counts.frame)
+        tip = ErrorBounds(tips[f], poses[f], goal, other, counts.frame)
         position = o.position_tolerance + beyond[0] + tip.position(counts)
         deviation = np.maximum(deviation, position)
         if kind != POSITION:
@@ -185,7 +185,7 @@ def bounds(
     return deviation, turn
 
 
-def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
+def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> SegmentBounds:
     """Return bounds on the motion of a chain's tip between the rows q (M, n) [rad or m].
 
     sag (M-1, n) [rad or m]: upper bound on each joint's deviation from the straight line between two rows.
@@ -208,13 +208,13 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
         speed += turns[:, r] * arm + slides[:, r]
         turn += turns[:, r]
         off += ratio[r] * sag[:, r] * (arm + off) + stroke[r] * sag[:, r]
-    return Speeds(speed, bend, turn, twist, off, sag @ ratio)
+    return SegmentBounds(speed, bend, turn, twist, off, sag @ ratio)
 
 
-class Between:
+class ErrorBounds:
     """Bounds on the errors of one tip between two neighbouring rows of a curve, for each of the M-1 segments."""
 
-    def __init__(self, tip: Speeds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
+    def __init__(self, tip: SegmentBounds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
         """Bound the derivatives of the errors, and the angular speed of the axes in which they are given.
 
         tip: bounds on the tip's motion; poses, goal (M, 4, 4): the tip's pose and target at the rows; other: None, or

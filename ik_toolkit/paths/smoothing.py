@@ -31,7 +31,7 @@ SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below th
 ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad, or length over the reach].
 
 
-class Price(NamedTuple):
+class PathPrice(NamedTuple):
     """The cost of a path: `first` times its length plus `second` / 2 times the sum of its squared second differences."""
 
     first: float
@@ -212,7 +212,7 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
     (N, n), tips = Q.shape, ends.size // ends.shape[-1]
     size = N * n
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0) + size * (4 * n + 8) + 16 * LINE)
-    price = Price(first, second, rounding)
+    price = PathPrice(first, second, rounding)
     path = view(T), view(Q), view(fixed), view(good)
     found = smooth_on_views(
         view(rows), view(ends), path, view(orders), price, view(longest), steps, view(block)

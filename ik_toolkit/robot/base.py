@@ -1,7 +1,7 @@
 """Turns moving bases and joints with several degrees of freedom into ordinary joints of one coordinate each.
 
 A floating base becomes three prismatic and three revolute joints, Rz(yaw) Ry(pitch) Rx(roll), so limits, solvers,
-batches, paths and tracking need not know about it. For a model with a free-flyer or ball joint, `Given` converts
+batches, paths and tracking need not know about it. For a model with a free-flyer or ball joint, `GivenModel` converts
 configurations to the model's form and back.
 """
 
@@ -45,7 +45,7 @@ class UnfoldedJoint(NamedTuple):
     names: tuple[str, ...]
 
 
-class Given(NamedTuple):
+class GivenModel(NamedTuple):
     """The model as the user gave it, and its joints with several degrees of freedom."""
 
     model: pin.Model
@@ -152,7 +152,7 @@ def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
     return next(links, None)
 
 
-def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
+def unfold(model: pin.Model) -> tuple[pin.Model, GivenModel | None]:
     """Replace joints with several degrees of freedom by single-coordinate joints; also return the conversion (None: none needed).
 
     Frames keep their names. A model with mimic joints, which Pinocchio cannot copy, is unfolded at its root only.
@@ -181,7 +181,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
         made = _copied(model, prefix)
     made.name = model.name
     _take_limits(model, made, blocks)
-    return made, Given(model, blocks)
+    return made, GivenModel(model, blocks)
 
 
 def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[UnfoldedJoint]) -> None:
@@ -244,7 +244,7 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
     return made
 
 
-class Footing(NamedTuple):
+class BasedModel(NamedTuple):
     """A model whose joints have one coordinate each, the conversion back to the given model, and its base coordinates.
 
     `original` is the given model, or None if it needed no change.
@@ -252,12 +252,12 @@ class Footing(NamedTuple):
 
     model: pin.Model
     original: pin.Model | None
-    given: Given | None
+    given: GivenModel | None
     names: tuple[str, ...]
     slides: tuple[str, ...]
 
 
-def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
+def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> BasedModel:
     """Give a model single-coordinate joints, a base and base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
@@ -273,7 +273,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
                 "base_limits are for a moving base: on_base='rail', 'planar' or 'floating', or a free-flyer"
             )
         set_base_limits(made, base_limits, slides, [name for name in names if name not in slides])
-    return Footing(made, None if made is model else model, given, tuple(names), slides)
+    return BasedModel(made, None if made is model else model, given, tuple(names), slides)
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:

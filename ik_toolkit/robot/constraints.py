@@ -41,7 +41,7 @@ class Loop(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the constraint is called in messages."""
+        """The name of the constraint's kind in messages."""
         return "weld" if self.weld else "loop"
 
 
@@ -71,24 +71,24 @@ class Relation(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the relation is called in messages."""
+        """The name of the relation's kind in messages."""
         return "equality" if self.low == self.high else "range of tendon"
 
 
 Constraint = Loop | Relation
 
 
-class Kept(NamedTuple):
+class ConstraintCheck(NamedTuple):
     """Result of a check: whether all constraints hold at a configuration, and a text about those that depend on its joints."""
 
     holds: bool
     text: str
 
 
-def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> Kept:
+def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
     """Return whether the constraints of a robot hold at q (n,), within `position` [m] and `orientation` [rad]."""
     if not robot.constraints:
-        return Kept(True, "")
+        return ConstraintCheck(True, "")
     closure = robot.memo.get("closure")
     if closure is None:
         closure = robot.memo["closure"] = Closure(robot)
@@ -172,7 +172,7 @@ class Closure:
         return {f.name: i for i, f in enumerate(self.model.frames) if f.type in LINKS}
 
     # -------------------------------------------------------------------------------------------- evaluating
-    def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
+    def at(self, full: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
         """Close the loops by moving joints of `full` (nq,) that are not on the path to the tip; then evaluate the constraints."""
         holds, said = True, []
         for group in self.groups:
@@ -184,7 +184,7 @@ class Closure:
                 said.append(
                     f"the {constraint.kind} '{constraint.name}' of the description {_state(constraint, open_by, moved)}"
                 )
-        return Kept(holds, "; ".join(said))
+        return ConstraintCheck(holds, "; ".join(said))
 
     def _open(self, constraint: Constraint, off: np.ndarray, position: float, orientation: float) -> str:
         """Return as text how far a constraint is violated, '' if it is within the tolerances."""

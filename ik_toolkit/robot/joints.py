@@ -21,7 +21,7 @@ from ..errors import (
 )
 from ..kernel.records import POINTS
 from ..text import TextTable
-from .base import Given
+from .base import GivenModel
 from .configuration import Named, configuration_in, joint_values, leaders_of, read_configuration, values_by_joint
 from .formats.mimic import Tie
 from .formats.srdf import Srdf
@@ -101,7 +101,7 @@ class Joints(ReadOnly):
     visual_model: pin.GeometryModel | None = None
     by_tip = False  # True if targets are given by tip, as for a tree, even with a single tip.
     _path: JointPath
-    _given: Given | None
+    _given: GivenModel | None
     _original: pin.Model | None
     _wide: Any = None  # the robot that this variant with narrower limits was made from, or None
 

@@ -19,7 +19,7 @@ from ..solvers.registry import find_row, list_rows
 from ..solvers.task import group_levels, kernel_tasks, relatives, what_counts
 from . import laws
 from .loop import servo
-from .methods import DAMPING, METHODS, Method, make_method
+from .methods import DAMPING, METHODS, Method, make_method, pack_law
 from .stability import GainCheck, check_gains
 
 LOWER = 0.01  # weight of the errors of one priority level relative to those of the next higher level
@@ -80,7 +80,7 @@ class Published:
 
     def law(self, h: float) -> np.ndarray:
         """Return the method and its gains at sample time h [s] as an array, in the order of the fields of `Law`."""
-        return self.method.pack(h)
+        return pack_law(self.method, h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return the task parameters for the compiled loop; kinds: kind of target (POSE or POSITION) of each tip.

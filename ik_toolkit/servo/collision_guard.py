@@ -18,8 +18,8 @@ ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's 
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
 
 
-class Guarding(NamedTuple):
-    """How the arm is slowed near obstacles, and how much is done to prove a step free of contact."""
+class GuardThresholds(NamedTuple):
+    """Constants that set how the arm is slowed near obstacles, and how much work goes into proving a step free of contact."""
 
     # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
     keep: float = 0.005
@@ -37,7 +37,7 @@ class Guarding(NamedTuple):
     parts: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64)
 
 
-GUARD = Guarding()
+GUARD = GuardThresholds()
 
 
 class Path(NamedTuple):

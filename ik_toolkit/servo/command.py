@@ -23,7 +23,7 @@ from .laws import (
     REGION,
     START,
     STATE,
-    Briskness,
+    CorrectionLimits,
     JointMotion,
     PseudoInverse,
     TargetMotion,
@@ -51,7 +51,7 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """What changes from step to step: the number of inequality constraints, and the length h of the step [s]."""
+    """Values that change from step to step: the number of inequality constraints, and the length h of the step [s]."""
 
     rows: int
     h: float
@@ -166,7 +166,9 @@ def feed_back(law, s, limits, now, heavy, beyond):
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > WEAK.close * WEAK.close else 0.0
     fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
     allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != CLIP else -1)
-    return ease(law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
+    return ease(
+        law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, CorrectionLimits(fast, quick, curved), s.x
+    )
 
 
 @inline

@@ -17,7 +17,7 @@ from ..kernel.limits import LIMIT
 from ..validate import number
 
 
-class Filter(NamedTuple):
+class FilterAssumptions(NamedTuple):
     """Assumptions on measured joint values, which set how fast they correct the estimate."""
 
     delay: int = 2  # age of measured joints [samples]
@@ -29,7 +29,7 @@ class Filter(NamedTuple):
     steady: float = 0.3
 
 
-FILTER = Filter()
+FILTER = FilterAssumptions()
 
 
 def read_measured(robot: Any, q: Any) -> np.ndarray:

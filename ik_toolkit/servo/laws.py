@@ -48,7 +48,7 @@ REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value i
 
 
 @compiled
-class Easing(NamedTuple):
+class EasingThresholds(NamedTuple):
     """Thresholds for how much of an error is fed back, see `ease`."""
 
     # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
@@ -57,7 +57,7 @@ class Easing(NamedTuple):
     touching: float = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
 
 
-EASING = Easing()
+EASING = EasingThresholds()
 
 
 class State(NamedTuple):
@@ -139,8 +139,8 @@ class JointMotion(NamedTuple):
 
 
 @compiled
-class Briskness(NamedTuple):
-    """How fast an error may be closed."""
+class CorrectionLimits(NamedTuple):
+    """Limits on how fast an error may be closed."""
 
     fast: float  # share of each joint's speed limit that may be used
     quick: float  # share of each joint's acceleration limit that may be used

@@ -24,6 +24,7 @@ On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping k
 grows.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -116,26 +117,30 @@ class Method:
         """Weight gamma of the new rate in a step: q' = q + h ((1 - gamma) rate + gamma rate')."""
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
-    def pack(self, h: float) -> np.ndarray:
-        """Return the method and its gains at sample time h [s] as an array, in the order of the fields of `Law`.
 
-        Entries that belong to a run and not to the method are 0.
-        """
-        gains = self.gains(h)
-        law = laws.Law(
-            *np.zeros(len(laws.Law._fields)),
-        )._replace(
-            code=METHODS[self.name][0],
-            kappa=gains.get("kappa", 0.0),
-            kp=gains.get("kp", 0.0),
-            kd=gains.get("kd", 0.0),
-            gamma=self.rate_weight,
-            null=null_rate(self.name, self.null_damping, h),
-            omit=1.0 - gains.get("share", 1.0),
-            damping=self.damping,
-            reading=laws.AT_STEP if self.name == "aad" else self.reading - 1,
-        )
-        return np.array(law, dtype=float)
+@functools.lru_cache(maxsize=64)  # Step lengths differ in a control loop, and choosing gains takes longer than a step.
+def pack_law(method: Method, h: float) -> np.ndarray:
+    """Return a method and its gains at sample time h [s] as an array, in the order of the fields of `Law`.
+
+    Entries that belong to a run and not to the method are 0.
+    """
+    gains = method.gains(h)
+    law = laws.Law(
+        *np.zeros(len(laws.Law._fields)),
+    )._replace(
+        code=METHODS[method.name][0],
+        kappa=gains.get("kappa", 0.0),
+        kp=gains.get("kp", 0.0),
+        kd=gains.get("kd", 0.0),
+        gamma=method.rate_weight,
+        null=null_rate(method.name, method.null_damping, h),
+        omit=1.0 - gains.get("share", 1.0),
+        damping=method.damping,
+        reading=laws.AT_STEP if method.name == "aad" else method.reading - 1,
+    )
+    packed = np.array(law, dtype=float)
+    packed.flags.writeable = False
+    return packed
 
 
 def make_method(method: str | Method, **options: Any) -> Method:
@@ -233,7 +238,7 @@ def simulate(
         The run. It ends early, with a sentence, when a value is not finite (q left the domain) or a joint runs away.
     """
     made = make_method(method, **{"damping": 0.0, **options})
-    p = laws.Law._make(made.pack(h).tolist())
+    p = laws.Law._make(pack_law(made, h).tolist())
     q = np.array(q0, dtype=float)
     n, m = len(q), len(system.position(q))
     k = max(n, m)

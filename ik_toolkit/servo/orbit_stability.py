@@ -21,7 +21,7 @@ from .command import SHARE
 
 
 class Sampling(NamedTuple):
-    """How a path is sampled and followed for the product of its steps."""
+    """Constants that set how a path is sampled and followed to compute the product of its steps."""
 
     largest: float = 700.0  # just below the logarithm of the largest factor that a float can hold
     most: int = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
@@ -58,11 +58,11 @@ class Growth(NamedTuple):
         return f"a small error changes {self.factor:.3g}-fold {over}"
 
 
-class Bent(NamedTuple):
+class JacobianDerivatives(NamedTuple):
     """Jacobians at N configurations and their derivatives with respect to the n joints.
 
     J: (N, m, n); H: (N, m, n, n), where H[:, :, j, i] is the derivative of column j with respect to joint i; third: takes x and y
-        (N, n) and returns the derivative (N, m, n) of the product (dJ/dt along x) y with respect to each joint.
+    (N, n) and returns the derivative (N, m, n) of the product (dJ/dt along x) y with respect to each joint.
     """
 
     J: np.ndarray
@@ -70,7 +70,7 @@ class Bent(NamedTuple):
     third: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-class Orbit(NamedTuple):
+class OrbitState(NamedTuple):
     """What a step needs of its state in addition to the joint values, for N steps.
 
     rate (N, n): joint rates; error, ahead (N, m): target now, and at the end of the step, minus tip now; v, a (N, m): velocity and
@@ -127,7 +127,7 @@ class PathMotion:
         )
         raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s{few}")
 
-    def sampled(self, h: float) -> tuple[Bent, Orbit]:
+    def sampled(self, h: float) -> tuple[JacobianDerivatives, OrbitState]:
         """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
         if self._last[0] == h:
             return self._last[1]
@@ -143,7 +143,7 @@ class PathMotion:
         bent, poses = jacobians(self.robot, Q, self.m), self.robot.chain.forward(Q)[0]
         rate = np.einsum("kij,kj->ki", np.linalg.pinv(bent.J, rcond=ORBIT.singular), V[:, : self.m])[:-1]
         ahead = tip_errors(T[1:], poses[:-1], self.m)
-        self._last = h, (bent, Orbit(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
+        self._last = h, (bent, OrbitState(rate, np.zeros_like(ahead), ahead, V[:-1, : self.m], A[:-1, : self.m]))
         return self._last[1]
 
     def beyond_limits(self) -> str:
@@ -229,7 +229,7 @@ def tip_errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
     return np.concatenate([off, [log(R) for R in turn]], axis=1)
 
 
-def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
+def jacobians(robot: Robot, Q: np.ndarray, m: int) -> JacobianDerivatives:
     """Return the first m rows of the Jacobians at Q (N, n) [rad or m] and their derivatives, from the joints' columns.
 
     Let u_t, w_t be the linear and angular column of joint t, r nearer the base. Then d u_t / d q_r = w_r x u_t = d u_r / d q_t,
@@ -256,7 +256,7 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
         return parts.sum(axis=1, keepdims=True) - before(parts)
 
     def third(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the derivative of sum_t y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t), see `Bent`.
+        """Return the derivative of sum_t y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t), see `JacobianDerivatives`.
 
         turn_t is the angular velocity before joint t, speed_t the velocity of the tip due to t and later joints, at rates x.
         """
@@ -270,7 +270,7 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> Bent:
         return (np.einsum("ktim,kt->kmi", every, y) @ sums)[:, :m]
 
     H = np.concatenate([by_u, by_w], axis=3).transpose(0, 3, 1, 2)[:, :m]
-    return Bent(J[:, :m] @ sums, sums.T @ H @ sums, third)
+    return JacobianDerivatives(J[:, :m] @ sums, sums.T @ H @ sums, third)
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
@@ -279,7 +279,12 @@ def null_rate(method: str, null_damping: float, h: float) -> float:
 
 
 def step_matrices(
-    bent: Bent, orbit: Orbit, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0
+    bent: JacobianDerivatives,
+    orbit: OrbitState,
+    method: str,
+    h: float,
+    gains: dict[str, float],
+    null_damping: float = 0.0,
 ) -> np.ndarray:
     """Return the matrices (N, k n, k n) that carry a small disturbance over each step: the exact derivative of the step.
 

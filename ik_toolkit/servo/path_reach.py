@@ -12,7 +12,7 @@ from ..robot.rotation import angles_between
 from ..text import angle, length
 
 
-class Surveying(NamedTuple):
+class SurveyConstants(NamedTuple):
     """Constants that say how finely a path is sampled, and which changes are tried if a part of it is out of reach."""
 
     # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
@@ -35,7 +35,7 @@ class Surveying(NamedTuple):
     digits: str = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
 
 
-SURVEY = Surveying()
+SURVEY = SurveyConstants()
 References = Reference | Mapping[str, Reference]
 
 

@@ -132,8 +132,8 @@ def locked(limits: np.ndarray) -> bool:
 FAST = VELOCITY | RECOVERING  # bits of the limits that hold a joint back only temporarily
 
 
-class Searching(NamedTuple):
-    """When another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
+class SearchConstants(NamedTuple):
+    """Constants that set when another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
     attempts: int = 96  # number of attempts; if one attempt in ten succeeds, all of them fail in one search of 25,000
@@ -147,8 +147,8 @@ class Searching(NamedTuple):
     elsewhere: float = 0.02
 
 
-class Moving(NamedTuple):
-    """What a move to another posture costs, when it is made, and when it ends."""
+class MoveConstants(NamedTuple):
+    """Constants for the cost of a move to another posture, and for when such a move begins and ends."""
 
     standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
     on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
@@ -161,8 +161,8 @@ class Moving(NamedTuple):
     close: float = 1e-3
 
 
-SEARCH = Searching()
-MOVE = Moving()
+SEARCH = SearchConstants()
+MOVE = MoveConstants()
 
 
 class Reconfiguration:

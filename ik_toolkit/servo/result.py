@@ -209,7 +209,7 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
 
     position and orientation: max, rms, final, settled_max and settled_rms (second half of the run), and between_max and
     between_settled_max (which include the time between samples). By finite differences of the samples: peak_speed,
-    peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3]. largest_move: of a joint in a step, with joint and time.
+    peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3]. largest_move: largest joint move in a step, with joint and time.
     jumps: number of steps in which a joint moves by more than jump (n,). time_at_limits [s]: of any joint (see `at_limits`);
     time_at_limits_by_joint: of each. damped_time [s]: near a singularity. slowed_time [s]: in which the reference's clock was
     slowed; added_time [s]: by which the run took longer; slowest: least rate of the clock.
@@ -386,7 +386,7 @@ def _between_samples(result: TrackResult) -> str:
     if not judged.any():
         return ""
     at_samples = result.t >= result.settle
-    # Less than 1 % more is not worth a word.
+    # an error between samples that is at most 1 % larger is not mentioned
     more = result.between_position[judged].max() > 1.01 * result.position_error[at_samples].max()
     if result.between_orientation is not None and result.orientation_error is not None:
         more = more or result.between_orientation[judged].max() > 1.01 * result.orientation_error[at_samples].max()

@@ -24,8 +24,8 @@ from .tracker import Tracker
 from .workspace import Samples, new_record
 
 
-class Retiming(NamedTuple):
-    """What the time law of a run may use, which other runs are tried, and how the joint path for it is found."""
+class RetimingConstants(NamedTuple):
+    """Constants for the time law of a run, for the runs that are tried after it, and for the joint path that it follows."""
 
     quick: float = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
     # share of the speed limits that a time law uses, because a run differs a little from the planned motion
@@ -57,7 +57,7 @@ class Retiming(NamedTuple):
     at_once: int = 20_000  # number of steps between two checks for Ctrl-C
 
 
-RETIME = Retiming()
+RETIME = RetimingConstants()
 NOWHERE = np.zeros((0, 0))
 
 

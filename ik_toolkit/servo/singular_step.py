@@ -30,7 +30,7 @@ from .laws import gram
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
 
 
-class Weak(NamedTuple):
+class SingularThresholds(NamedTuple):
     """Thresholds for singular directions and motion along them.
 
     Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
@@ -61,7 +61,7 @@ class Weak(NamedTuple):
     close: float = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 
 
-WEAK = Weak()
+WEAK = SingularThresholds()
 
 
 @inner

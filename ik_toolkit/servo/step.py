@@ -16,7 +16,7 @@ from .target_jump import Choice
 from .workspace import samples_of
 
 
-class Standards(NamedTuple):
+class StatusThresholds(NamedTuple):
     """Thresholds by which the status of a step is judged."""
 
     position: float = 1e-3  # [m] error above which a joint limit or the edge of the reach is reported as the reason
@@ -31,7 +31,7 @@ class Standards(NamedTuple):
     still: float = 1e-3  # The tip hardly comes nearer if a step removes less than this share of the error.
 
 
-JUDGE = Standards()
+JUDGE = StatusThresholds()
 
 
 class StepStatus(Enum):
@@ -57,7 +57,7 @@ class StepStatus(Enum):
     HELD = "held"
 
 
-class Judged(NamedTuple):
+class StatusContext(NamedTuple):
     """Data for the status of a step that are the same for all steps of a tracker."""
 
     robot: Any
@@ -71,7 +71,7 @@ class Judged(NamedTuple):
 class Outcome(NamedTuple):
     """What the status of one step is computed from; the arrays are not shared with the tracker."""
 
-    by: Judged
+    by: StatusContext
     code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
     before: np.ndarray  # (n,) previous command [rad or arm reaches]
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]

@@ -27,7 +27,7 @@ STRAIGHT = 1.2
 
 
 class JumpThresholds(NamedTuple):
-    """When a joint move or a straight line takes over from the tracking method, and when it gives back."""
+    """Thresholds by which a joint move or a straight line takes over from the tracking method, and hands back to it."""
 
     # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
     points: int = 24

@@ -28,7 +28,7 @@ WAIT = 0.1  # [s] time within which a target that stands still may not move by m
 
 
 @compiled
-class Arriving(NamedTuple):
+class ArrivalThresholds(NamedTuple):
     """Thresholds by which targets are accepted, and their motion is judged."""
 
     # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
@@ -42,10 +42,10 @@ class Arriving(NamedTuple):
     recent: int = 10
 
 
-ARRIVAL = Arriving()
+ARRIVAL = ArrivalThresholds()
 
 
-class Stand(NamedTuple):
+class RestState(NamedTuple):
     """Names for the entries of an array that says whether a target stands still; STAND.seconds etc. are the indices.
 
     Before its first motion a target counts as having jumped.
@@ -58,7 +58,7 @@ class Stand(NamedTuple):
     known: int  # 1: the rest of the array holds the F poses at which the target stands still
 
 
-STAND = Stand._make(range(len(Stand._fields)))
+STAND = RestState._make(range(len(RestState._fields)))
 
 
 @inner
@@ -134,11 +134,11 @@ def look(T, stand, dt):
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
-    samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `Stand`. how:
-    READ, CHECK or REFUSED (the target is checked, to be checked, or not finite). posed: bit f is set if tip f has an orientation.
-    first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether they are
-    given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN, DOUBTFUL
-    (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
+    samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `RestState`;
+    how: READ, CHECK or REFUSED (the target is checked, to be checked, or not finite). posed: bit f is set if tip f has an
+    orientation. first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether
+    they are given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN,
+    DOUBTFUL (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
@@ -196,7 +196,7 @@ class Stream(CopiesViews):
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:] = np.eye(4)
-        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether the target stands still, see `Stand`
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether the target stands still, see `RestState`
         self._cut()
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.

@@ -25,7 +25,7 @@ from .methods import Method
 from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .null_space_motion import Secondary, read_secondary
 from .reconfigure import REACHED, Postures, Reconfiguration, Taken
-from .step import Judged, Step, make_outcome
+from .step import StatusContext, Step, make_outcome
 from .target_jump import STRAIGHT, Leap, ways
 from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
@@ -33,7 +33,6 @@ from .workspace import Record, Samples, carried_of, new_carried, new_record, new
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
 RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a measurement is doubted
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-LAWS_KEPT = 64  # number of step lengths for which a method's gains are cached
 
 
 class Tracker(CopiesViews, ReadOnly):
@@ -126,7 +125,6 @@ class Tracker(CopiesViews, ReadOnly):
         self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
-        self._laws: dict[float, np.ndarray] = {}
         self._ordered: tuple = ()  # arguments of the last call of `_order`, which does nothing if they have not changed
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
@@ -189,8 +187,7 @@ class Tracker(CopiesViews, ReadOnly):
     ) -> None:
         """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
 
-        Joints beyond a new limit are brought back (RECOVERING); at a speed limit of 0 a joint brakes and stays.
-        Raises InvalidOption.
+        Joints beyond a new limit are brought back (RECOVERING); at a speed limit of 0 they brake and stay. Raises InvalidOption.
         """
         given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
         self._limits[:] = changed_limits(self.robot, self._limits, given)
@@ -325,7 +322,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(weights.reshape(-1, 2, 3)[:, 1].any(axis=1).tolist())
         firm = np.array(group_levels(self.robot, self.engine.options)).reshape(-1, 2) == 0
-        self._judged = Judged(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
+        self._judged = StatusContext(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:
@@ -356,13 +353,8 @@ class Tracker(CopiesViews, ReadOnly):
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
         """Write the method's parameters to the settings; pace [s]: step length for which the gains are chosen."""
-        made = self._laws.get(pace)
-        if made is None:
-            if len(self._laws) >= LAWS_KEPT:
-                self._laws.clear()
-            made = self._laws[pace] = self.engine.law(pace)
         law, at = self._settings.law, laws.PLACE
-        law[:] = made
+        law[:] = self.engine.law(pace)
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
         law[at.rows], law[at.avoid], law[at.mode] = rows, avoid, self._mode
 

@@ -34,7 +34,7 @@ UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed lim
 
 @compiled
 class LimitMargins(NamedTuple):
-    """What keeps joints inside their position limits despite rounding, and how fast they return from outside."""
+    """Margins that keep joints inside their position limits despite rounding, and the speed at which they return from outside."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
@@ -46,7 +46,7 @@ MARGIN = LimitMargins()
 
 
 @compiled
-class Calming(NamedTuple):
+class OscillationThresholds(NamedTuple):
     """Thresholds by which a joint counts as oscillating, and limits on the acceleration of such a joint.
 
     Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
@@ -63,7 +63,7 @@ class Calming(NamedTuple):
     growth: float = 10.0  # [1/s] factor of a joint's speed in the bound that `gain` describes
 
 
-CALMING = Calming()
+CALMING = OscillationThresholds()
 
 
 @compiled

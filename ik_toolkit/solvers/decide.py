@@ -61,7 +61,7 @@ class Blocked(NamedTuple):
     solutions: int  # number of solutions if limits are ignored
 
 
-class Listed(NamedTuple):
+class ListedSolutions(NamedTuple):
     """All solutions of a target that the elimination lists."""
 
     q: np.ndarray  # (K, n) [rad], shifted by 2 pi k into the limits, nearest the start
@@ -279,7 +279,7 @@ class Deciding(Plan):
 
     @functools.cached_property
     def within(self) -> float:
-        """How far from the unit circle a complex root may be if a real pose near it is to be within the tolerances."""
+        """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
     @property
@@ -288,12 +288,12 @@ class Deciding(Plan):
         free = np.full(self.robot.n, np.inf)
         return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
-    def list_at(self, T: np.ndarray, near: np.ndarray) -> Listed:
+    def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)
-        return Listed(q, excess, said.certificate)
+        return ListedSolutions(q, excess, said.certificate)
 
 
 def blocked(result: Any) -> Blocked | None:

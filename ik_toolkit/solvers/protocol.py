@@ -62,7 +62,7 @@ class Asked:
 
     @property
     def rows(self) -> int:
-        """How many independent errors the joints can change at all."""
+        """Number of independent errors that the joints can change at all."""
         return self.span.shape[1]
 
 

@@ -9,7 +9,7 @@ from ..errors import IKError, UnknownSolver
 
 
 class Length(NamedTuple):
-    """How long a search continues by default.
+    """Default limits on the length of a search.
 
     `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair: precomputed
     starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given up later from

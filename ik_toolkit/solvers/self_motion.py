@@ -39,7 +39,7 @@ class MotionEnd(NamedTuple):
 
 
 @compiled
-class Following(NamedTuple):
+class ContinuationConstants(NamedTuple):
     """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
 
     slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
@@ -56,7 +56,7 @@ class Following(NamedTuple):
     points: int = 2000  # highest number of points of a curve in each direction
 
 
-END, FOLLOWING = MotionEnd(), Following()
+END, FOLLOWING = MotionEnd(), ContinuationConstants()
 
 
 class SelfMotion(NamedTuple):
@@ -321,7 +321,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
 
 
 class Slicing(NamedTuple):
-    """How a seven-joint arm is reduced to six joints: by fixing its first joint, or its last."""
+    """A reduction of a seven-joint arm to six joints: its first or its last joint is fixed."""
 
     joint: int  # index of the fixed joint, 0 or 6
     screws: Screws

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..robot.constraints import Kept, constraints_at
+from ..robot.constraints import ConstraintCheck, constraints_at
 
 
 class Status(enum.IntEnum):
@@ -56,6 +56,6 @@ def count_statuses(numbers: np.ndarray) -> dict[str, int]:
     return {Status(int(k)).name: int(c) for k, c in zip(found, counts, strict=True)}
 
 
-def constraints_of(robot: Any, q: np.ndarray, options: Any) -> Kept:
+def constraints_of(robot: Any, q: np.ndarray, options: Any) -> ConstraintCheck:
     """Return which loops and relations of its robot's description q (n,) breaks, within the tolerances of the options."""
     return constraints_at(robot, q, options.position_tolerance, options.orientation_tolerance)

@@ -27,7 +27,7 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """How many numbers the parameter has."""
+        """Count of numbers in the parameter."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
@@ -62,7 +62,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """How many numbers the search varies."""
+        """Count of numbers that the search varies."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property

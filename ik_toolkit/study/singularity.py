@@ -95,7 +95,7 @@ def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options
 
 @dataclass(frozen=True)
 class Escape:
-    """How often a solver succeeds from a start, and from a slightly different one.
+    """Counts of how often a solver succeeds from a start, and from a slightly different one.
 
     Attributes:
         solver: Name of the solver.

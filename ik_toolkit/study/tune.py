@@ -38,7 +38,7 @@ TRAIN, VALIDATION, HELD_OUT = 1, 2, 3
 
 @dataclass
 class Score:
-    """How well a configured solver (rule) solves sets of targets."""
+    """Success counts of a configured solver (rule) on sets of targets."""
 
     successes: list[int]  # number of solved targets in each set
     targets: int  # number of targets in each set

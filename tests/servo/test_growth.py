@@ -81,7 +81,7 @@ def test_a_disturbance_goes_as_the_exact_derivative_of_the_steps_says(name, pose
     T, V, A = path.at(path.times(h))
     tip = robot.chain.forward(base.q)[0]
     error, ahead = ob.tip_errors(T, tip, m)[:-1], ob.tip_errors(T[1:], tip[:-1], m)
-    state = ob.Orbit(base.rate[:-1], error, ahead, V[:-1, :m], A[:-1, :m])
+    state = ob.OrbitState(base.rate[:-1], error, ahead, V[:-1, :m], A[:-1, :m])
     steps = ob.step_matrices(ob.jacobians(robot, base.q, m), state, method, h, gains, null)
     dq, dr = rng.normal(size=(2, n))
     if method in ("cv", "av"):

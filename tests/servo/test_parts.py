@@ -7,7 +7,7 @@ import pytest
 
 from ik_toolkit.motion.reference import exp
 from ik_toolkit.servo import viability
-from ik_toolkit.servo.step import Judged, Step, StepStatus, make_outcome
+from ik_toolkit.servo.step import StatusContext, Step, StepStatus, make_outcome
 from ik_toolkit.servo.target_jump import Route, timed
 from ik_toolkit.servo.target_stream import Stream
 from ik_toolkit.servo.workspace import new_samples
@@ -23,7 +23,8 @@ def step(
     left, still = np.concatenate(errors), new_samples(2, 2)
     still.T[:] = np.eye(4)
     out = (
-        Judged(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
+        StatusContext(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)),
+        np.array(code, np.uint8), np.array(before),
         np.array([left, left]), still.block, 0.01, 0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
     return Step(np.array(q), np.array(rate), make_outcome(out))

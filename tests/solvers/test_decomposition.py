@@ -116,7 +116,7 @@ def test_a_sum_has_two_solutions_one_or_none_and_says_how_far_off_they_may_be():
         found = solve(noisy, value + rng.uniform(-error, error), error)
         assert found.number > 0 and not found.free
         near = min(abs((y - x + np.pi) % (2 * np.pi) - np.pi) for y in (found.first, found.second))
-        assert near <= 4.0 * found.error  # the band of `terms.Doubt`
+        assert near <= 4.0 * found.error  # the band of `terms.DecompositionThresholds`
         assert solve(exact, exact.k + exact.swing() + 10.0 * error, error).number == 0
         top = solve(exact, exact.k + exact.swing(), 1e-15)
         assert top.merged and top.number > 0 and abs(top.first - np.arctan2(exact.b, exact.a)) < 1e-6

@@ -15,7 +15,7 @@ from .decomposition import nearest_point, splits_of
 from .terms import CERTAIN, DOUBT, SIZES, Form
 
 
-class ReadingChoice(NamedTuple):
+class OrderingChoice(NamedTuple):
     """Constants of the choice of orderings, found on 60 arms and 33 kinds of structures."""
 
     poses: int = 12  # number of random poses on which orderings are compared
@@ -26,10 +26,10 @@ class ReadingChoice(NamedTuple):
     seed: int = 0
 
 
-CHOICE = ReadingChoice()
+CHOICE = OrderingChoice()
 
 
-class Reading(NamedTuple):
+class OrderingResult(NamedTuple):
     """One ordering of the loop (reversed or not, first joint), and how well it did."""
 
     row: np.ndarray  # (SIZES.whole,) as `answer.solve_loops` takes it
@@ -85,7 +85,7 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
         return first
     most = np.max([reading.real for reading in tried], axis=0)
 
-    def rank(one: Reading) -> tuple:
+    def rank(one: OrderingResult) -> tuple:
         """Return the sort key of an ordering.
 
         The best finds all solutions, tells them apart by q3 and has certificates and small error discs.
@@ -111,7 +111,7 @@ def _sure(split: np.ndarray, arm: np.ndarray, Q: np.ndarray, T: np.ndarray) -> i
     return int(certain.sum()) if (apart.min(axis=1)[certain] < DOUBT.apart).all() else 0
 
 
-def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> Reading | None:
+def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> OrderingResult | None:
     """Return an ordering with its results at the poses T, or None if its determinant vanishes or has too high a degree."""
     plain = _row(Form(backwards, shift, 0, SIZES.degree, 0.0), mix)
     found, values = np.zeros((len(T), SIZES.rows, SIZES.columns)), np.empty((len(T), SIZES.samples))
@@ -124,7 +124,7 @@ def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift:
     row = _row(Form(backwards, shift, found[:, 0, 3].max(), degree, np.median(np.abs(values).max(axis=1))), mix)
     notes = answers(row[None], arm, T)
     kept = [np.sort(one[1 : 1 + int(one[0, 0]), 7]) for one in notes]
-    return Reading(
+    return OrderingResult(
         row, notes[:, 0, 0], int((notes[:, 0, 1] == CERTAIN).sum()), any((np.diff(roots) == 0.0).any() for roots in kept),
         float(np.median(notes[:, 0, 5])),
     )  # fmt: skip

@@ -38,7 +38,8 @@ class LoopEquations(NamedTuple):
     V: Array  # (8, 14) QR factors of the columns of `target` without the constant one
     scales: Array  # (8,) factors of the reflections of that QR
     order: Array  # (8,) order of the columns in that QR factorisation
-    reduced: Array  # (27, 14) robot - target[0], with the reflections applied
+    # (27, 14) the coefficients robot - target[0], transformed by the reflections of the QR factorisation
+    reduced: Array
     W: Array  # (3, 6, 9) the 6 equations in 9 monomials: coefficients of 1, cos q3, sin q3
 
 

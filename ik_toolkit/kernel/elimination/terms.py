@@ -41,7 +41,7 @@ class Sizes(NamedTuple):
 
 
 @compiled
-class Trust(NamedTuple):
+class CertaintyThresholds(NamedTuple):
     """Thresholds that an answer must meet to be called certain; angles in rad, lengths in units of the arm's size.
 
     The thresholds were tuned on 60 arms, and tested on 180,000 targets from other random seeds.
@@ -89,7 +89,7 @@ class Trust(NamedTuple):
 
 
 @compiled
-class Doubt(NamedTuple):
+class DecompositionThresholds(NamedTuple):
     """Thresholds that decide when a decomposition must report UNSURE; angles in rad, lengths in units of the arm's size."""
 
     rounding: float = 3e-15  # error of every number of an exactly decomposable arm; 1e-15 occurs
@@ -104,7 +104,7 @@ class Doubt(NamedTuple):
     alike: float = 1e-12  # an arm with a smaller misfit has no more solutions than branches
 
 
-STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), Trust(), Doubt()
+STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), CertaintyThresholds(), DecompositionThresholds()
 
 
 class Form(NamedTuple):

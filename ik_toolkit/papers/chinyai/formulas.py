@@ -85,7 +85,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
 
 @cached
 def closed_form_all(X, l1, l2, out):
-    """Write both branches for targets X (N, 2) to out (N, 4)."""
+    """Write both solutions of the closed form for targets X (N, 2) to out (N, 4)."""
     for i in range(X.shape[0]):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = closed_form(X[i, 0], X[i, 1], l1, l2)
 

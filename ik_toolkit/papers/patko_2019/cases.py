@@ -9,7 +9,7 @@ import numpy as np
 
 from ...servo import stability as st
 from ...servo.methods import Run, System, simulate
-from ...servo.orbit_stability import Bent, Orbit, chained, step_matrices
+from ...servo.orbit_stability import JacobianDerivatives, OrbitState, chained, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
@@ -194,8 +194,8 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
         return np.array([case.third(*at) for at in zip(q[:-1], x, y, strict=True)])
 
     tip = np.array([system.position(x) for x in q])
-    orbit = Orbit(rate[:-1], (target - tip)[:-1], target[1:] - tip[:-1], v[:-1], a[:-1])
+    orbit = OrbitState(rate[:-1], (target - tip)[:-1], target[1:] - tip[:-1], v[:-1], a[:-1])
     name, options = METHODS[key]
     known = {"kappa": gains.kappa, "kp": gains.kp, "kd": gains.kd, "share": 1.0}
-    total, scale = chained(step_matrices(Bent(J, H, third), orbit, name, h, known | options))
+    total, scale = chained(step_matrices(JacobianDerivatives(J, H, third), orbit, name, h, known | options))
     return st.spectral_radius(total) * float(np.exp(scale))

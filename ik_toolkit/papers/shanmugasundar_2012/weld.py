@@ -93,7 +93,7 @@ class Canister:
 
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """How a seam of N poses is inspected: windows of the lift for each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
+    """Plan to inspect a seam of N poses: windows of the lift for each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
 
     windows: list[list[LiftWindow]]
     branch: int

@@ -12,7 +12,17 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlanes, Separation, free_until, levers, rows
+from ...kernel.clearance import (
+    Approach,
+    Bodies,
+    BrakingPath,
+    HalfPlanes,
+    NearPairs,
+    Separation,
+    free_until,
+    levers,
+    rows,
+)
 from ..probe import mimics
 from .convex import hull_of
 
@@ -267,7 +277,7 @@ class Clearance:
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
         """Write linear inequalities on the joint rates that keep pairs ks (K,) of shapes apart, see `kernel.clearance.rows`."""
         deceleration, *rules = rest[:5]
-        facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
+        facing, planes = NearPairs(ks, points, gap), HalfPlanes(*rest[5:])
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:

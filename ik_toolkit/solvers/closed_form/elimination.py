@@ -90,7 +90,7 @@ def certificate_of(answer: list[float]) -> Certificate:
     return Certificate(status, int(count), int(roots), int(complex_roots), radius, noise, forms == 0.0)
 
 
-class Said(NamedTuple):
+class EliminationAnswer(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
     q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
@@ -104,7 +104,7 @@ class Said(NamedTuple):
     free: np.ndarray
 
 
-def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
+def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> EliminationAnswer:
     """Return the elimination's solutions of the pose T (4, 4); p: the parameters that `recognise_six_revolute` found.
 
     within: how far a complex root may be from the unit circle for its configuration to be listed in `near`.
@@ -112,13 +112,15 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     p, T = np.array(p), np.array(T)  # writable copies, because numba compiles a read-only array as another type
     if not is_rigid(T):
         empty = np.empty((0, N))
-        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
+        return EliminationAnswer(
+            empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2))
+        )
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
     certificate = certificate_of(found[0].tolist())
     count, near = certificate.solutions, int(found[0, 7])
     rest = None if near < 0 else found[1 + count : 1 + count + near, :N].copy()
     rows = found[1 : 1 + count]
-    return Said(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
+    return EliminationAnswer(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
 
 
 @cached

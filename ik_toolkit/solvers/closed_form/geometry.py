@@ -26,10 +26,10 @@ SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
 
 
 class Fit(NamedTuple):
-    """How well a chain fits the structure of a closed form."""
+    """The result of comparing a chain with the structure of a closed form."""
 
     parameters: np.ndarray  # The numbers that the closed form needs; empty if the chain does not fit.
-    reason: str  # Why the chain does not fit, or ''.
+    reason: str  # The reason why the chain does not fit, or ''.
     off: float  # By how much the axes deviate from the structure [rad, or length over the reach].
 
 

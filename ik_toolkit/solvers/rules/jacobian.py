@@ -193,7 +193,7 @@ class Newton(NamedTuple):
     """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; it ends as SINGULAR where J has no inverse.
 
     Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual.
-        `newton_certificate` says where the whole step provably converges.
+    `newton_certificate` says where the whole step provably converges.
 
     Args:
         line_search: Whether the step is halved until the squared error falls. Each trial is an evaluation.

@@ -53,7 +53,7 @@ def test_half_planes_let_pairs_brake():
             by_a[1], by_b[1] = False, False  # this pair moves with no joint
         A, b, order = np.full((3, n), 9.0), np.full(3, 9.0), np.full(3, -9)
         for h in (step, 0.5):
-            facing, rules = clearance.Facing(ks, points, gap), clearance.Approach(slope, h, share, flat)
+            facing, rules = clearance.NearPairs(ks, points, gap), clearance.Approach(slope, h, share, flat)
             count = clearance.rows(parts, facing, rate, deceleration, rules, clearance.HalfPlanes(A, b, order))
             want = []
             for r, k in enumerate(ks):

@@ -135,7 +135,7 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                         cap = min(cap, approach(want[i], 0.0, 1.0, h, 0.4 * a, h))
                     f = min(f, cap / (natural * want[i]))
                 eased, front = e.copy(), ahead.copy()
-                walls, brisk = walls_of(np.empty((0, n)), np.empty(0), -1), laws.Briskness(0.5, 0.4, 0.0)
+                walls, brisk = walls_of(np.empty((0, n)), np.empty(0), -1), laws.CorrectionLimits(0.5, 0.4, 0.0)
                 inverse, aim = laws.PseudoInverse(J, G, np.zeros((n, n)), y, np.empty(m)), target(eased, front)
                 blocked = laws.ease(p, inverse, aim, h, np.zeros(n), limits, walls, brisk, c)
                 assert not blocked
@@ -159,7 +159,7 @@ def test_slow_joints_are_spared_where_others_can_close_the_error():
     for name, count in (("published", -1), ("spared", 0)):  # walls are looked at in all but the published form
         eased[name] = e.copy()
         inverse, walls = laws.PseudoInverse(J, G, H, y, np.empty(m)), walls_of(np.empty((0, n)), np.empty(0), count)
-        brisk = laws.Briskness(0.5, 0.4, 0.0)
+        brisk = laws.CorrectionLimits(0.5, 0.4, 0.0)
         laws.ease(p, inverse, target(eased[name], e.copy()), h, np.zeros(n), limits, walls, brisk, c)
     assert np.linalg.norm(eased["spared"]) > 5.0 * np.linalg.norm(eased["published"])
     limits[2] = np.linspace(0.2, 2.0, n)  # none below a tenth of the fastest
@@ -179,7 +179,7 @@ def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
         e, ahead, count = np.array([1.0, 0.0]), np.array([1.0, 0.0]), len(planes)
         walls, brisk = (
             walls_of(np.array(planes).reshape(count, 2), np.zeros(count), count),
-            laws.Briskness(1.0, 0.5, curved),
+            laws.CorrectionLimits(1.0, 0.5, curved),
         )
         inverse = laws.PseudoInverse(J, G, np.zeros((2, 2)), y, np.empty(2))
         blocked = laws.ease(p, inverse, target(e, ahead), h, np.array([at, at]), limits, walls, brisk, c)

@@ -53,14 +53,14 @@ def test_what_a_path_costs_and_its_derivatives():
         D = np.diff(x.reshape(N, n), axis=0)
         return first * (np.sqrt(D**2 + rounding**2) - rounding).sum() + 0.5 * second * (np.diff(D, axis=0) ** 2).sum()
 
-    total, worst = smoothing.cost_of(Q, smoothing.Price(first, second, rounding), longest)
+    total, worst = smoothing.cost_of(Q, smoothing.PathPrice(first, second, rounding), longest)
     assert total == pytest.approx(cost(Q.ravel()), rel=1e-12)
     assert worst == pytest.approx((np.abs(np.diff(Q, axis=0)) / longest).max())
-    assert smoothing.cost_of(Q, smoothing.Price(first, second, rounding), 10.0 * longest)[1] == pytest.approx(
+    assert smoothing.cost_of(Q, smoothing.PathPrice(first, second, rounding), 10.0 * longest)[1] == pytest.approx(
         0.1 * worst
     )  # below 1, too
     H, g = np.full((N * n, 2 * n + 1), 7.0), np.full(N * n, 7.0)
-    smoothing.differences(Q, smoothing.Price(first, second, rounding), H, g)
+    smoothing.differences(Q, smoothing.PathPrice(first, second, rounding), H, g)
     np.testing.assert_allclose(g, approx_fprime(Q.ravel(), cost, 1e-7), atol=2e-6)
     w = first / np.sqrt(np.diff(Q, axis=0) ** 2 + rounding**2)
     D = np.kron(np.diff(np.eye(N), axis=0), np.eye(n))
@@ -280,11 +280,11 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     )
     size = longest / chain.unit
     assert taken > 0 and after < before
-    assert before == pytest.approx(smoothing.cost_of(start / chain.unit, smoothing.Price(1.0, 20.0, 1e-3), size)[0])
-    assert after == pytest.approx(smoothing.cost_of(Q / chain.unit, smoothing.Price(1.0, 20.0, 1e-3), size)[0])
+    assert before == pytest.approx(smoothing.cost_of(start / chain.unit, smoothing.PathPrice(1.0, 20.0, 1e-3), size)[0])
+    assert after == pytest.approx(smoothing.cost_of(Q / chain.unit, smoothing.PathPrice(1.0, 20.0, 1e-3), size)[0])
     np.testing.assert_array_equal(Q[fixed], start[fixed])
     assert good.all() and np.all(np.abs(np.diff(Q, axis=0)) <= longest)
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
-    assert after <= 1.02 * smoothing.cost_of(goals / chain.unit, smoothing.Price(1.0, 20.0, 1e-3), size)[0]
+    assert after <= 1.02 * smoothing.cost_of(goals / chain.unit, smoothing.PathPrice(1.0, 20.0, 1e-3), size)[0]
     assert smoothing.smooth_rows(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 0, good)[0] == 0
