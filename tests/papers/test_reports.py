@@ -10,10 +10,9 @@ from ik_toolkit.papers.burrell_2016 import design, gains, paper, solutions, spee
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
 from ik_toolkit.papers.patko_2019 import dynamics
-from ik_toolkit.papers.report import Report, cell
+from ik_toolkit.papers.report import Report, cell, rounds, spread
 from ik_toolkit.papers.shanmugasundar_2012 import formulas as printed_numbers
 from ik_toolkit.papers.shanmugasundar_2012 import paper as inspection
-from ik_toolkit.papers.timing import rounds, spread
 
 
 @pytest.fixture(scope="module")

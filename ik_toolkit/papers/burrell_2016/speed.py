@@ -12,8 +12,7 @@ from ...solvers.rules.jacobian import DLS
 from ...solvers.rules.pid import PID
 from ...solvers.rules.state_space import StateSpace
 from ...study.targets import sample_targets
-from ..report import Report, cell
-from ..timing import Work, rounds, spread
+from ..report import Report, Work, cell, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 

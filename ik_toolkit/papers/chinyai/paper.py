@@ -16,8 +16,7 @@ from ...solvers.solve import Solver
 from ...study.newton_certificate import newton_certificate
 from ...text import angle as in_words
 from ...text import figure
-from ..report import Report, cell
-from ..timing import Work, rounds, spread
+from ..report import Report, Work, cell, rounds, spread
 from . import formulas as planar
 from .figures import grid, outcomes, over_starts, start_basins, target_basins
 

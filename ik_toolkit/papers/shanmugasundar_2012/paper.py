@@ -18,8 +18,7 @@ from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver
 from ...study.benchmark import wilson
-from ..report import ROUNDING, Report, shipped_table
-from ..timing import Work, rounds, spread
+from ..report import ROUNDING, Report, Work, rounds, shipped_table, spread
 from . import formulas as paper
 from .figures import gallery
 from .sample import sample
