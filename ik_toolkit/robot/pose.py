@@ -180,7 +180,8 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
     Args:
         target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
         distance: how far [m] the tip is backed off against the direction of the axis; negative: beyond the target.
-        axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
+        axis: of the tip, "x", "y", "z", "-x", "-y", "-z" or three numbers; default that of an AxisTarget, else z. A tip whose
+            z points up, such as the palletizer's, backs off from what is below it with "-z".
 
     Returns:
         A target of the same kind: an AxisTarget, or T_base_tip (4, 4).
