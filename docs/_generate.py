@@ -155,30 +155,16 @@ def _tips(row) -> list[str]:
     return [tips] if isinstance(tips, str) else list(tips)
 
 
-MEANINGS = {
-    "CONVERGED": "both errors are within tolerance, confirmed by Pinocchio",
-    "STALLED": "no further progress: a local minimum of the error, or no improvement from any start",
-    "ITERATION_LIMIT": "the limit on evaluations, or on the iterations of every attempt, was reached first",
-    "LIMIT_BLOCKED": "joint limits block the way to the target; the message names the joints",
-    "UNREACHABLE": "proven out of reach, by a bound from the link lengths or by a closed form; the message says by how much",
-    "SINGULAR": "no joint motion reduces the error to first order",
-    "NOT_FINITE": "the solver diverged, usually because the gains are too high",
-    "CHECK_FAILED": "the kernel reported success but Pinocchio did not confirm it: a bug",
-    "COLLISION": "the target was reached, but every solution found is in collision (only with avoid_collisions)",
-    "CONSTRAINT_OPEN": "the target is reached, but a loop, a curved equality or a tendon over several joints of the MJCF is open "
-    "by more than the tolerance; the message says by how much",
-    "TOO_FAR": "the solution, if there is one, is further from q0 than follow allows a joint to move",
-}
-
-
 def statuses_page() -> str:
     """Table of the statuses: what each means, and the advice of its message."""
     from ik_toolkit.solvers.message import ADVICE
     from ik_toolkit.solvers.status import Status
 
+    lines = " ".join((Status.__doc__ or "").split()).split(" - ")[1:]
+    meanings = dict(line.split(": ", 1) for line in lines)
     return table(
         ["status", "meaning", "advice in the message"],
-        [[f"`{s.name}`", MEANINGS[s.name], ADVICE.get(s, "")] for s in Status],
+        [[f"`{s.name}`", meanings[s.name].removesuffix("."), ADVICE.get(s, "")] for s in Status],
     )
 
 

@@ -41,6 +41,7 @@ _NAMES = {
     "benchmark": "study.benchmark",
     "track": "servo.run",
     "Tracker": "servo.tracker",
+    "StepStatus": "servo.step",
     "TrackResult": "servo.result",
     "PathResult": "paths.result",
     "PathStatus": "paths.result",

@@ -27,6 +27,7 @@ from .servo.result import TrackResult as TrackResult
 from .servo.run import track as track
 from .servo.stability import best_gains as best_gains
 from .servo.stability import check_gains as check_gains
+from .servo.step import StepStatus as StepStatus
 from .servo.tracker import Tracker as Tracker
 from .show.interact import interact as interact
 from .show.plot import plot as plot

@@ -1,6 +1,7 @@
 """`ik bench`: comparison of the solvers of this package on a robot."""
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from .pictures import chart
 from .streams import uninterrupted
 
 FIGURES = ("targets", "solved", "low", "high", "median", "mean", "p99", "iterations", "restarts", "fk_evaluations")
-COLUMNS = ("one attempt\n%, 95 %", "\nus", "with restarts\n%, 95 %", "\nus", "\np99 us")
+COLUMNS = ("\n%", "one attempt\n95 %", "\nus", "\n%", "with restarts\n95 %", "\nus", "\np99 us")
 
 
 @options()
@@ -126,7 +127,9 @@ def _latex(found: Any) -> str:
     ]
     for row in found.rows:
         cells = [name.replace("_", r"\_") for name in (row.robot, row.solver)]
-        lines.append(" & ".join([*cells, *_cells(row, "{} [{}, {}]")]) + r" \\")
+        for share, low, high, median in _figures(row):
+            cells += [f"{share} [{low}, {high}]", median]
+        lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -134,17 +137,18 @@ def _show(found: Any) -> None:
     for robot, rows in found.by_robot().items():
         made = table("<\nsolver", *(f">{column}" for column in COLUMNS))
         for row in rows:
-            made.add_row(row.solver, *_cells(row, "{} {}-{}"), _short(1e6 * row.p99))
+            each = ((share, f"{low}-{high}", median) for share, low, high, median in _figures(row))
+            made.add_row(row.solver, *chain(*each), _short(1e6 * row.p99))
         show(f"{robot}: {rows[0].targets} targets ({rows[0].task}), {found.options['restarts']} restarts", made)
     for (robot, solver), why in found.skipped.items():
         notice(f"{robot}: {solver} left out: {why}")
 
 
-def _cells(row: Any, form: str) -> Iterator[str]:
-    """Yield success [%], with its interval in this form, and median time [us], for one attempt and with restarts."""
+def _figures(row: Any) -> Iterator[tuple[str, str, str, str]]:
+    """Yield success and the ends of its interval [%], and the median time [us], for one attempt and with restarts."""
     for one in filter(None, (row.once, row)):
-        yield form.format(f"{100 * one.solved / one.targets:.4g}", f"{100 * one.low:.3g}", f"{100 * one.high:.3g}")
-        yield _short(1e6 * one.median)
+        share, low, high = 100 * one.solved / one.targets, 100 * one.low, 100 * one.high
+        yield f"{share:.4g}", f"{low:.3g}", f"{high:.3g}", _short(1e6 * one.median)
 
 
 def _short(number: float) -> str:

@@ -310,7 +310,9 @@ def _solve_all(
         show(*_solutions(found, deg))
         complete = "these are all" if found.complete else "there may be more"
         told = {f"family {k}": family.message for k, family in enumerate(found.families, 1)}
-        show({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message, **told})
+        distance = "from --q0 or home: the root of the summed squares of the joints' moves [rad; slides in robot sizes]"
+        lines = {"solutions": f"{len(found)}, {complete}; solver {found.solver}", "distance": distance}
+        show({**lines, "found": found.message, **told})
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)

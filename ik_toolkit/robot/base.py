@@ -237,7 +237,7 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
             if model.existJointName(f"{ROOT}_{part}"):
                 raise InvalidOption(f"the robot already has a joint '{ROOT}_{part}', a name that its base needs")
     else:
-        pose, _ = check_target(on_base)
+        pose, _ = check_target(on_base, of="base")
         T = pin.SE3(pose) if pose.ndim == 2 else pin.SE3(np.eye(3), pose)
     made = pin.appendModel(made, model, made.nframes - 1, T)
     made.name = model.name

@@ -52,10 +52,21 @@ class MotorMap:
             raise InvalidOption(f"sign must be 1 or -1 for each joint, not {sign!r}")
         self.unit = np.where(robot.slides, 1.0, math.radians(1.0) if degrees else 1.0)
 
+    def __repr__(self) -> str:
+        """Describe the map in one line: joints whose motors turn against them, and zero positions."""
+        joints = list(zip(self.robot.joint_names, self.sign.tolist(), self.offset.tolist(), strict=True))
+        against = [joint for joint, sign, _ in joints if sign < 0.0]
+        offset = {joint: offset for joint, _, offset in joints if offset}
+        turns = self.unit[~self.robot.slides]
+        return (
+            f"MotorMap('{self.robot.name}', reversed={against}, offset={offset}, degrees={bool((turns != 1.0).any())})"
+        )
+
     def to_q(self, motors: Any) -> np.ndarray:
         """Return joint values (n,) [rad or m] for motor positions: (n,) numbers, or a dict by joint (also as "JOINT.pos").
 
-        A dict may have other entries, such as a gripper's; they are ignored. Raises InvalidConfiguration.
+        For (N, n), or a dict of (N,), as `to_motors` returns, they are (N, n). A dict may have other entries, such as a gripper's;
+        they are ignored. Raises InvalidConfiguration.
         """
         if isinstance(motors, Mapping):
             named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()} | dict(motors)
@@ -65,13 +76,25 @@ class MotorMap:
                 raise InvalidConfiguration(
                     f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], others)}"
                 )
-            motors = [named[joint] for joint in self.robot.joint_names]
+            each = {
+                joint: floats(named[joint], f"motor positions of {joint} must be numbers", InvalidConfiguration)
+                for joint in self.robot.joint_names
+            }
+            shapes = {joint: array.shape for joint, array in each.items()}
+            if len({*shapes.values()}) > 1:
+                raise InvalidConfiguration(
+                    f"motor positions must be one number for each joint, or equally many; their shapes are {shapes}"
+                )
+            motors = np.array(list(each.values())).T
         values = floats(motors, "motor positions must be numbers", InvalidConfiguration)
-        if values.shape != (self.robot.n,) or not np.isfinite(values).all():
-            names = ", ".join(self.robot.joint_names)
+        names, n = ", ".join(self.robot.joint_names), self.robot.n
+        if values.ndim not in (1, 2) or values.shape[-1] != n:
             raise InvalidConfiguration(
-                f"motor positions must be {self.robot.n} finite numbers ({names}), not {motors!r:.80}"
+                f"motor positions must be {n} numbers ({names}), or (N, {n}), not an array of shape {values.shape}"
             )
+        if not np.isfinite(values).all():
+            joint = self.robot.joint_names[np.argwhere(~np.isfinite(values))[0, -1]]
+            raise InvalidConfiguration(f"motor positions must be finite numbers; that of {joint} is not")
         return self.sign * values * self.unit + self.offset
 
     def to_motors(self, q: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import DOUBTED, FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
-from .ros import read_pose
+from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
@@ -180,7 +180,8 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
     Args:
         target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
         distance: how far [m] the tip is backed off against the direction of the axis; negative: beyond the target.
-        axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
+        axis: of the tip, "x", "y", "z", "-x", "-y", "-z" or three numbers; default that of an AxisTarget, else z. A tip whose
+            z points up, such as the palletizer's, backs off from what is below it with "-z".
 
     Returns:
         A target of the same kind: an AxisTarget, or T_base_tip (4, 4).
@@ -265,12 +266,12 @@ def _near(position: np.ndarray) -> np.ndarray:
     return position
 
 
-def as_matrix(pose: Any) -> np.ndarray:
+def as_matrix(pose: Any, of: str = "target") -> np.ndarray:
     """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
 
-    Raises InvalidTarget.
+    of: what it is the pose of, for messages. Raises InvalidTarget.
     """
-    T = corrected(pose)
+    T = corrected(pose, of)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -288,9 +289,13 @@ def as_array(target: Any, base: str = "") -> Any:
     if hasattr(target, "homogeneous"):
         return target.homogeneous
     found = read_pose(target, base)
+    if found is None and listed_poses(target) is not None:
+        raise InvalidTarget(
+            "one pose is needed, and this message has a list of them: give it to solve_batch or solve_path"
+        )
     if found is None and isinstance(target, Mapping):
         raise InvalidTarget(
-            "a target that is a dict has the fields of a ROS message, position (x, y, z) and orientation (x, y, z, w), not "
+            "a pose that is a dict has the fields of a ROS message, position (x, y, z) and orientation (x, y, z, w), not "
             f"{' '.join(repr(target).split())[:120]}"
         )
     if found is None:
@@ -304,25 +309,24 @@ def as_array(target: Any, base: str = "") -> Any:
     return pose(position, quat_xyzw=quat)
 
 
-def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
+def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
     Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
     must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
-    says so. Raises InvalidTarget otherwise.
+    says so. of: what it is the pose of, for messages. Raises InvalidTarget otherwise.
     """
-    T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
+    needed = f"{'a target' if of == 'target' else f'the pose of a {of}'} must be {FORMS}"
+    T = floats(as_array(target, base), needed, InvalidTarget)
     if T.shape == (3,):
-        return _near(finite_numbers(T, 3, "target position")), ""
+        return _near(finite_numbers(T, 3, f"{of} position")), ""
     if T.shape != (4, 4):
-        many = (
-            "; solve_batch takes many targets, solve_path gives one motion through them"
-            if T.shape[1:] in ((4, 4), (3,))
-            else ""
-        )
-        raise InvalidTarget(f"a target must be {FORMS}, not an array of shape {T.shape}{many}")
+        hint = "; a position and a quaternion are ik.pose(xyz=, quat_xyzw=)" if T.shape == (7,) else ""
+        if T.shape[1:] in ((4, 4), (3,)) and of == "target":
+            hint = "; solve_batch takes many targets, solve_path gives one motion through them"
+        raise InvalidTarget(f"{needed}, not an array of shape {T.shape}{hint}")
     if not np.isfinite(T).all():
-        raise InvalidTarget("the target pose has entries that are not finite numbers")
+        raise InvalidTarget(f"the {of} pose has entries that are not finite numbers")
     if np.abs(T[3] - LAST).max() > LAST_ROW:
         hint = "; the pose looks transposed" if np.abs(T[:, 3] - LAST).max() <= LAST_ROW else ""
         raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}{hint}")
@@ -331,20 +335,20 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     R, off = nearest_rotation(T[:3, :3])
     if off > PROJECT_WITHIN or np.linalg.det(T[:3, :3]) < 0.0:
         raise InvalidTarget(
-            f"the target's rotation is not rigid (a singular value is off 1 by {off:.3g}, determinant "
+            f"the {of}'s rotation is not rigid (a singular value is off 1 by {off:.3g}, determinant "
             f"{np.linalg.det(T[:3, :3]):.4g}); only deviations up to {PROJECT_WITHIN:g} are projected to the nearest rotation"
         )
     notice = ""
     if off > 1e-6:
-        notice = f"the target's rotation was off by {off:.2g} and was projected to the nearest rotation"
+        notice = f"the {of}'s rotation was off by {off:.2g} and was projected to the nearest rotation"
     if off > 1e-12:
         T[:3, :3] = R
     return T, notice
 
 
-def corrected(target: Any) -> np.ndarray:
+def corrected(target: Any, of: str = "target") -> np.ndarray:
     """Return the target that `check_target` returns, and write its notice to the log "ik_toolkit"."""
-    T, notice = check_target(target)
+    T, notice = check_target(target, of=of)
     if notice:
         logging.getLogger("ik_toolkit").warning("%s", notice)
     return T

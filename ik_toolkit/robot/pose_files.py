@@ -202,6 +202,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
     needed = [*needed, *position]
     first = ",".join(needed)
     forms = f"{first}, {first},{','.join(kinds[0])} or {first},{','.join(kinds[1])}"
+    forms += f", or with --euler {first},{','.join(kinds[2])} or {first},{','.join(kinds[3])}"
     missing = [name for name in needed if name not in header]
     if missing:
         raise InvalidTarget(
@@ -224,9 +225,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
         unread = rotation_columns([name for name in others if "." not in name])
         if unread or given.euler is not None:
             said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
-            raise InvalidTarget(
-                f"'{file}': {said}; the first line must be {forms}, or with --euler {first},{','.join(kinds[2])}"
-            )
+            raise InvalidTarget(f"'{file}': {said}; the first line must be {forms}")
     order = given.euler or "zyx"
     if turned in kinds[1:3]:
         if len({*order}) < 3:

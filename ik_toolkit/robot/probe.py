@@ -146,8 +146,14 @@ def limits(
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
     lower, upper = own_lower.copy(), own_upper.copy()
     narrowed: dict[int, list[tuple[str, float, float]]] = {}
-    for joint, (_, ratio, offset, low, high) in followers.items():
+    notes = []
+    for joint, (leader, ratio, offset, low, high) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
+        if i is not None and model.names[path.leaders[i]] == joint:
+            notes.append(
+                f"joint '{joint}' mimics '{leader}' in the URDF but is free in this model; build it with mimic=True"
+            )
+            continue
         if i is None or min(-low, high) >= NO_LIMIT:
             continue
         first, last = _leader_range(ratio, offset, low, high)
@@ -165,7 +171,6 @@ def limits(
         allow = ", ".join(words for words, _, _ in narrowed.get(i, ()))
         by = f"; the limits of the joints that mimic it allow: {allow}" if allow else ""
         raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
-    notes = []
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         name = model.names[path.leaders[i]]
         most, unit = (LARGEST_ANGLE, "rad") if turns[i] else (LARGEST_STROKE, "m")

@@ -357,11 +357,11 @@ class Robot(Joints):
 
         shape is the tool's collision shape, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
-        T = as_matrix(T_tip_tool)
+        T = as_matrix(T_tip_tool, "tool")
         other = self._variant()
         other.tool = self.tool * pin.SE3(T)
         if shape is not None:
-            place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape))
+            place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape, "shape"))
             other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
         other._build(self.home)
         return other

@@ -28,7 +28,9 @@ def has_fields(message: Any, names: Sequence[str]) -> bool:
 def is_by_name(value: Any) -> bool:
     """Return whether a value is a dict from names (of tips) to targets, and not a single target as the fields of a ROS message."""
     fields = ("header", "position", "orientation", "translation", "rotation")
-    return isinstance(value, Mapping) and not has_fields(value, POINT) and not any(name in value for name in fields)
+    if not isinstance(value, Mapping) or has_fields(value, POINT) or any(name in value for name in fields):
+        return False
+    return listed_poses(value) is None
 
 
 def _inner(message: Any) -> tuple[Any, Any, Any] | None:
@@ -68,10 +70,11 @@ def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | No
 def listed_poses(message: Any, base: str = "") -> list[Any] | None:
     """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is not such a message.
 
-    Raises InvalidTarget if it is given in another frame than `base` (as in `read_pose`).
+    Its header may be missing if every entry is a pose. Raises InvalidTarget if it is given in another frame than `base` (as in
+    `read_pose`).
     """
     header, poses = _field(message, "header"), _field(message, "poses")
-    if header is None or not isinstance(poses, Sequence):
+    if not isinstance(poses, Sequence) or (header is None and any(read_pose(one) is None for one in poses)):
         return None
     _require_frame(header, base)
     return list(poses)

@@ -37,13 +37,16 @@ JUDGE = StatusThresholds()
 class StepStatus(Enum):
     """Outcome of one tracker step.
 
-    OK: the arm is at its target, or nothing keeps it from getting nearer; in the second case the reason says how far away it is.
-    LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target, or it is on its way to a target that
-    jumped. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
-    collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a joint
-    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones, or not finite.
-    JUMPED: a joint moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite,
-    or measured joints that are far off do not agree, are not finite or are outside the limits.
+    - OK: the arm is at its target, or nothing keeps it from getting nearer. It need not be on target: read `position_error`.
+    - LIMITED: a limit held a joint back, or the tip can hardly get nearer, or it is on its way to a target that jumped.
+    - AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
+    - BLOCKED: the arm rests as near as a collision ahead allows.
+    - RECONFIGURING: the arm moves to another posture, which reaches the target.
+    - RECOVERING: a joint outside its limits returns or brakes.
+    - FOLLOWING_ERROR: the measured joints are far from the commanded ones, or not finite.
+    - JUMPED: a joint moved far, or the tracker restarted from the measured joints.
+    - HELD: the target or the command was not finite, or measured joints that are far off do not agree, are not finite or are
+      outside the limits.
     """
 
     OK = "ok"
@@ -125,7 +128,7 @@ class Step:
 
     @property
     def status(self) -> StepStatus:
-        """How the step went, as a StepStatus."""
+        """How the step went, as an `ik.StepStatus`, whose help says what each means. OK does not mean on target."""
         o = self._outcome
         if o.code[0] & viability.HELD:
             return StepStatus.HELD

@@ -173,7 +173,7 @@ class Scene(InCell):
         return name
 
     def _shape(self, shape: Any, at: Any, name: str, color: Any = None, opacity: float | None = None) -> None:
-        T, drawn = as_matrix(at), drawn_shape(shape, color or OBSTACLE, 0.75 if opacity is None else opacity)
+        T, drawn = as_matrix(at, "shape"), drawn_shape(shape, color or OBSTACLE, 0.75 if opacity is None else opacity)
         self._clear(name)
         self.window.draw(name, drawn)
         self.window.place(name, self.body.T_world_base @ T)

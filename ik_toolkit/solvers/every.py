@@ -177,7 +177,8 @@ def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, star
     every._put(distance=np.linalg.norm((every.q - start) / robot.chain.unit, axis=1))
     order = np.argsort(every.distance, kind="stable")
     complete = found.complete and len(Q) <= count and not lost
-    every._put(message=f"{every.message}; {len(Q)} on all full turns", complete=complete)
+    cut = f", the {count} nearest are listed (count)" if len(Q) > count else ""
+    every._put(message=f"{every.message}; {len(Q)} on all full turns{cut}", complete=complete)
     return every.keep(order[:count])
 
 

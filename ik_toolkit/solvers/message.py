@@ -24,7 +24,10 @@ ADVICE = {
     Status.CONVERGED: "",
     Status.STALLED: "try more restarts, another q0, or a looser tolerance",
     Status.ITERATION_LIMIT: "try more iterations where the error still falls, restarts, another q0, or the default solver",
-    Status.LIMIT_BLOCKED: "try restarts, another q0, a partial target, or wider limits",
+    Status.LIMIT_BLOCKED: (
+        "try restarts, another q0, wider limits, to free part of the target (free_turn, mask), or to put the position before the "
+        "orientation (priority)"
+    ),
     Status.UNREACHABLE: "move the target inside the reach",
     Status.SINGULAR: "start from another q0, or use the default solver with restarts",
     Status.NOT_FINITE: "lower the gains",

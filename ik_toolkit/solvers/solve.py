@@ -52,7 +52,7 @@ class Solver(ReadOnly):
         robot: A Robot, or a Tree (several tips solved together).
         solver: Name, solver class or instance. 'auto' uses a closed form if one fits the robot and the kind of target, or if one of
             its parameters is given; otherwise the search. `result.solver` names the one used.
-        options: Options (see `Options`), and parameters of the solver.
+        options: As in `ik.solve`, and parameters of the solver.
 
     Attributes:
         robot, name, plan: The robot, the solver's name, and the bound solver with its arrays (see `plan.Plan`).
@@ -267,12 +267,12 @@ def solve(
             otherwise the search.
         q0: Configuration (n,) [rad or m] where the first attempt starts. Without it the answer may be any solution
             (fastest), so give q0 to stay near it.
-        options: Parameters of the solver, and options (see `Options`): tolerance (both), position_tolerance [m],
-            orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout [s], seed, q0_outside, mask,
-            slack, free_turn, frame, priority ("position": then the orientation as near as that allows), joint_weights,
-            objective, avoid_collisions, history; follow (for loops, one attempt that moves no joint further than this);
-            closest=q_ref (n,) (the nearest of several solutions); limits (True, False, or narrower ones, {joint: (lower,
-            upper)} [rad or m] or a pair of arrays).
+        options: Parameters of the solver, and options (explained in help("ik_toolkit.solvers.options.Options")):
+            tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts,
+            max_evaluations, timeout [s], seed, q0_outside, mask, slack, free_turn, frame, priority ("position": then the
+            orientation as near as that allows), joint_weights, objective, avoid_collisions, history; follow (for loops,
+            one attempt that moves no joint further than this); closest=q_ref (n,) (the nearest of several solutions);
+            limits (True, False, or narrower ones, {joint: (lower, upper)} [rad or m] or a pair of arrays).
 
     Returns:
         The Result, whose status says how the solve ended.
@@ -286,6 +286,7 @@ def solve(
     if "closest" in options and not isinstance(options["closest"], bool | np.bool_):
         if q0 is not None:
             raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
+        robot.check_q(options["closest"], "closest")
         q0, options["closest"] = options["closest"], True
     return bound_solver(robot, "auto" if solver is None else solver, options)(target, q0)
 

@@ -11,10 +11,22 @@ from ..robot.constraints import ConstraintCheck, constraints_at
 class Status(enum.IntEnum):
     """How a solve ended; the numbers are those of the compiled search.
 
-    Code on result rows compares with the constants of kernel/checks.py instead, because numpy takes microseconds to compare a
-    number with an enum.
+    - CONVERGED: both errors are within tolerance, confirmed by Pinocchio.
+    - STALLED: no further progress: a local minimum of the error, or no improvement from any start.
+    - ITERATION_LIMIT: the limit on evaluations, or on the iterations of every attempt, was reached first.
+    - LIMIT_BLOCKED: joint limits block the way to the target; the message names the joints.
+    - UNREACHABLE: proven out of reach, by a bound from the link lengths or by a closed form; the message says by how
+      much.
+    - SINGULAR: no joint motion reduces the error to first order.
+    - NOT_FINITE: the solver diverged, usually because the gains are too high.
+    - CHECK_FAILED: the kernel reported success but Pinocchio did not confirm it: a bug.
+    - COLLISION: the target was reached, but every solution found is in collision (only with avoid_collisions).
+    - TOO_FAR: the solution, if there is one, is further from q0 than follow allows a joint to move.
+    - CONSTRAINT_OPEN: the target is reached, but a loop, a curved equality or a tendon over several joints of the MJCF is
+      open by more than the tolerance; the message says by how much.
     """
 
+    # Code on result rows compares with the constants of kernel/checks.py, because numpy takes microseconds to compare an enum.
     CONVERGED = 0
     STALLED = 1
     ITERATION_LIMIT = 2

@@ -30,7 +30,7 @@ from .reachability import quality
 NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Placement:
     """A base pose, and what is reached from it.
 
@@ -61,6 +61,11 @@ class Placement:
     height = property(lambda self: float(self.T_world_base[2, 3]))
     yaw = property(lambda self: float(np.arctan2(self.T_world_base[1, 0], self.T_world_base[0, 0])))
     count = property(lambda self: int(self.reached.sum()))
+
+    def __repr__(self) -> str:
+        """Describe the placement in one line: base, and how many poses are reached from it."""
+        at = ", ".join(f"{name}={getattr(self, name):.3f}" for name in ("x", "y", "height"))
+        return f"Placement({at} m, yaw={angle(self.yaw)}, reached {self.counts}, margin {figure(self.margin)})"
 
     @property
     def counts(self) -> str:

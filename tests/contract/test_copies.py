@@ -89,6 +89,7 @@ HELD = {
     "Result": (solved, facts_of),
     "Status": (lambda: ik.Status.LIMITS if hasattr(ik.Status, "LIMITS") else next(iter(ik.Status)), lambda one: one),
     "PathStatus": (lambda: next(iter(ik.PathStatus)), lambda one: one),
+    "StepStatus": (lambda: next(iter(ik.StepStatus)), lambda one: one),
     "TrackResult": (run, facts_of),
     "PathResult": (path, facts_of),
     "Trajectory": (
@@ -315,6 +316,6 @@ def test_what_is_kept_of_a_batch_says_how_much():
 
 
 def test_enums_stay_what_they_are():
-    for name in ("Status", "PathStatus"):
+    for name in ("Status", "PathStatus", "StepStatus"):
         for one in getattr(ik, name):
             assert isinstance(one, Enum) and all(duplicate(one) is one for duplicate in WAYS.values())

@@ -67,5 +67,19 @@ def test_mistakes_name_the_joint():
         ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "slid.pos": 0.0, "grip": 1.0})
     with pytest.raises(InvalidConfiguration, match=r"for joint slide\.$"):
         ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "spin": 0.0})
-    with pytest.raises(InvalidConfiguration, match="4 finite numbers"):
+    with pytest.raises(InvalidConfiguration, match="that of slide is not"):
         ik.MotorMap(robot).to_q([0.0, 0.0, math.nan, 0.0])
+    with pytest.raises(InvalidConfiguration, match=r"4 numbers \(.*\), or \(N, 4\), not an array of shape \(3,\)"):
+        ik.MotorMap(robot).to_q([0.0, 0.0, 0.0])
+    with pytest.raises(InvalidConfiguration, match=r"equally many; .*'shoulder': \(2,\)"):
+        ik.MotorMap(robot).to_q({"shoulder": [0.0, 0.1], "elbow": 0.0, "slide": 0.0, "spin": 0.0})
+
+
+def test_a_recorded_motion_of_motors_comes_back_as_joint_values():
+    robot = ik.Robot.load("scara")
+    motors = ik.MotorMap(robot, sign={"elbow": -1}, offset={"shoulder": 0.2}, degrees=True)
+    Q = np.array([robot.random_q(np.random.default_rng(k)) for k in range(5)])
+    commands = motors.to_motors(Q)
+    assert np.allclose(motors.to_q(commands), Q, atol=1e-12)
+    assert np.allclose(motors.to_q(np.column_stack(list(commands.values()))), Q, atol=1e-12)
+    assert repr(motors) == "MotorMap('scara', reversed=['elbow'], offset={'shoulder': 0.2}, degrees=True)"

@@ -166,6 +166,18 @@ def test_a_urdf_beside_a_model_is_a_text_or_a_path(tmp_path):
         ik.Robot(model, urdf="nowhere.urdf")
 
 
+def test_a_mimic_joint_that_is_free_in_the_model_is_said():
+    """The model is built without mimic=True: the follower is a joint of q, with its own limits."""
+    model = pin.buildModelFromXML(MIMIC)
+    robot, known = ik.Robot(model, tip="l8", urdf=MIMIC), ik.Robot.load(MIMIC, tip="l8")
+    free = [note for note in robot.notes if "is free in this model; build it with mimic=True" in note]
+    assert "joint 'j2' mimics 'j1' in the URDF" in free[0] and len(free) == robot.n - known.n == 2
+    k = robot.joint_names.index("j2")
+    assert (robot.lower[k], robot.upper[k]) == (-1.0, 1.0) and not any("free" in note for note in known.notes)
+    tied = ik.Robot(pin.buildModelFromXML(MIMIC, mimic=True), tip="l8", urdf=MIMIC)
+    assert tied.joint_names == known.joint_names and tied.notes == known.notes
+
+
 @DATA
 def test_a_pickled_robot_reads_its_meshes_again():
     robot = ik.Robot(*pin.buildModelsFromUrdf(*files("panda")))

@@ -38,7 +38,7 @@ REFUSED = {
     "x\ty\tz\n0.5\t1\n": "line 2: 2 columns, fewer",
     "x,y,z\n0.5;1;0\n": "line 2: 1 columns, fewer",
     "x,y,z,rx,ry,rz\n0,0,0,1,0,0\n": "columns rx, ry, rz: say with --euler about which axes the angles turn",
-    "x,y,z,w,p,r\n0,0,0,1,0,0\n": "the columns w, p, r are not read; the first line must be x,y,z, x,y,z,qx",
+    "x,y,z,w,p,r\n0,0,0,1,0,0\n": "the columns w, p, r are not read; .* x,y,z, .* or with --euler x,y,z,rx,ry,rz or x,y,z,a,b,c",
     "x,y,z,roll_deg,pitch_deg\n0,0,0,1,0\n": "the columns roll_deg, pitch_deg are not read",
     "x,y,z,q1,q2,q3,q4\n0,0,0,1,0,0,0\n": "the columns q1, q2, q3, q4 are not read",
     "x,y,z,Rot_X\n0,0,0,1\n": "the columns rot_x are not read",
@@ -147,7 +147,7 @@ def test_ros_messages_in_json_are_read(tmp_path):
             r"row 1 \(counted from 0\): the target is given in the frame 'base', and the robot's base is 'arm'",
         ),
         ({"header": {"frame_id": "map"}, "poses": [pose]}, "given in the frame 'map'"),
-        ([pose, {"position": [1, 2, 3]}], r"row 1 \(counted from 0\): a target that is a dict has the fields"),
+        ([pose, {"position": [1, 2, 3]}], r"row 1 \(counted from 0\): a pose that is a dict has the fields"),
         ([pose, pose["position"]], r"row 1 of targets \(counted from 0\) is \{"),
         (
             [pose, {**pose, "position": {"x": None, "y": 0, "z": 0}}],

@@ -91,6 +91,11 @@ def test_a_message_of_many_poses_is_a_batch_and_a_path(arm, form):
     for one in (array, path):
         assert np.array_equal(ik.solve_batch(arm, form(one)).q, ik.solve_batch(arm, poses).q)
         assert np.array_equal(ik.solve_path(arm, form(one)).q, ik.solve_path(arm, poses).q)
+    bare = form(Message(poses=poses))
+    assert np.array_equal(ik.solve_batch(arm, bare).q, ik.solve_batch(arm, poses).q)
+    with pytest.raises(InvalidTarget, match="one pose is needed, and this message has a list of them"):
+        ik.solve(arm, bare)
+    assert len(ik.solve_batch(arm, plain(Message(poses=[])))) == 0
     for one in (
         Message(header=Message(frame_id="map"), poses=poses),
         Message(header=header, poses=[Message(header=Message(frame_id="map"), pose=poses[0])]),

@@ -349,3 +349,14 @@ def test_a_negative_parameter_is_refused(rule):
 def test_a_misspelled_parameter_of_a_solver_gets_its_near_match():
     with pytest.raises(InvalidOption, match=r"no option 'dampin'\. Did you mean 'damping'"):
         ik.solve(load(ARM), (1.0, 0.1, 0.2), "dls", dampin=0.1)
+
+
+def test_an_error_says_whose_pose_is_wrong():
+    robot = ik.Robot.load("hydrolek_7w")
+    hand = (0.5, 0.1, 0.3, 0.0, 0.0, 0.0, 1.0)
+    with pytest.raises(InvalidTarget, match=r"^a target must be .*shape \(7,\); .* ik\.pose\(xyz=, quat_xyzw=\)"):
+        ik.solve(robot, hand)
+    with pytest.raises(InvalidTarget, match=r"^the pose of a shape must be"):
+        ik.CollisionModel(robot).add(ik.Shape.sphere(0.1), hand)
+    with pytest.raises(InvalidTarget, match=r"^the pose of a tool must be"):
+        robot.with_tool(hand)

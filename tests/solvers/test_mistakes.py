@@ -50,6 +50,8 @@ def test_closest_and_a_start(arm):
     q = arm.home
     with pytest.raises(InvalidOption, match="give closest=q_ref or q0, not both: the search starts at q_ref"):
         ik.solve(arm, arm.fk(q), closest=q, q0=q)
+    with pytest.raises(InvalidConfiguration, match=f"^closest must have {arm.n} values"):
+        ik.solve(arm, arm.fk(q), closest=q[:-1])
     with pytest.raises(
         InvalidOption, match=r"closest must be True or False here \(q0 is what the solution is nearest to\)"
     ):

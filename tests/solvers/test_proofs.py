@@ -85,6 +85,7 @@ def test_all_turns_are_listed_within_limits():
     assert max(robot.errors(q, T)[0] for q in every.q) < 1e-9
     few = ik.solve_all(robot, T, all_turns=True, count=1)
     assert len(few) == 1 and not few.complete and few.distance[0] == every.distance[0]
+    assert "the 1 nearest are listed (count)" in few.message and "(count)" not in every.message
     with pytest.raises(InvalidOption, match="full turns inside the limits"):
         ik.solve_all(robot, T, all_turns=True, limits=False)
     with pytest.raises(InvalidOption, match="all_turns is True or False, not 'no'"):

@@ -52,6 +52,7 @@ def test_places_reach_what_they_say_and_no_random_base_reaches_more(hydrolek):
     W = sheet(hydrolek)
     found = ik.place(hydrolek, W, count=3)
     best = found[0]
+    assert str(best) == repr(best) and "\n" not in str(best) and best.counts in str(best)
     assert len(found) == 3 and [one.count for one in found] == sorted((one.count for one in found), reverse=True)
     assert best.count >= 55
     fk = second_fk.SecondFK(hydrolek.urdf, hydrolek.base, hydrolek.tip)

@@ -78,7 +78,8 @@ class BatchResult(ReadOnly):
 
     Attributes:
         q: Solutions (N, n) [rad or m].
-        status, success: Numbers of Status (N,), and whether they are CONVERGED (N,).
+        status, success: Numbers of Status (N,), and whether they are CONVERGED (N,). `ik.Status(4).name` is the name of 4, and
+            `batch.counts()` counts them by name.
         proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that no
             solution is nearer; see `Result.proven`).
         position_error: Distance (N,) [m] from the target; for several tips the largest.
