@@ -44,6 +44,9 @@ class DecisionMargins(NamedTuple):
     same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
     # with a solution d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor
     gain: float = 10.0
+    # A pose whose errors are both below this many tolerances decides nothing: another one nearby, with one error larger and
+    # the other smaller, may be inside both. It was so at one of 72,000 targets.
+    beside: float = 3.0
     # With looser tolerances nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose had no
     # solution.
     loosest: float = 5e-4  # [rad, or lengths over the reach]
@@ -131,11 +134,12 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
         orders: (2, .) option arrays (`records.Orders`) of the elimination, with limits and without.
-        terms: (4,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as
-            one radian where failures are compared; and `same` if the solution nearest the start is asked for, or 0.
+        terms: (6,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as
+            one radian where failures are compared; `same` if the solution nearest the start is asked for, or 0; and the errors [m],
+            [rad] below which a pose decides nothing.
         out: (M, width) results of the short search.
     """
-    edge, clear, length, same = terms
+    edge, clear, length, same, position, rotation = terms
     silent, bounds = np.empty((0, 0)), np.empty((3, N))
     for i in range(2):
         copy(box[i], bounds[i])
@@ -169,13 +173,14 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
                 if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
                     row[AT.excess] = NEAREST
                 continue
+            certain = certain and not (made[AT.position] < position and made[AT.rotation] < rotation)
         if row[AT.status] == CONVERGED or not certain or not far:
             continue
         if count == 0 and near > 0:
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
-            if made[0] == CONVERGED:
-                continue  # false alarm: only a pose beyond the limits is within the tolerances
+            if made[AT.position] < position and made[AT.rotation] < rotation:
+                continue  # false alarm: a pose beyond the limits is within the tolerances, or nearly so
         if count > 0:  # these solutions were moved onto their limits
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
@@ -271,6 +276,8 @@ class Deciding(Plan):
                 MARGINS.gain * self.error,
                 o.length_scale or self.robot.reach,
                 MARGINS.same * o.closest,
+                MARGINS.beside * o.position_tolerance,
+                MARGINS.beside * o.orientation_tolerance,
             )
             ends, orders = (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
             fixed = map(np.array, (ends, self.box, orders, terms))

@@ -177,3 +177,24 @@ def test_what_a_search_says_after_a_closed_form_without_an_answer_is_no_proof():
             blocked += 1
             assert not found.proven and found.solver == "lm" and "every branch" not in found.message
     assert blocked
+
+
+def test_a_pose_that_only_another_weighing_of_the_errors_meets_is_not_proven_unreachable():
+    """A micrometre beyond a fold the nearest pose misses the position tolerance, one with a larger turn meets both."""
+    robot, T = ik.Robot.load("ur3"), np.eye(4)
+    T[:3] = [
+        [0.08206185840966945, 0.48549610287221073, -0.8703788746805882, 0.03928560117183227],
+        [-0.9886384025926044, 0.15001057682046973, -0.009536024388243072, -0.02069709310723789],
+        [0.12593633436579996, 0.8612725241977045, 0.4922902383235115, 0.26871627044341695],
+    ]
+    assert not ik.solve(robot, T).proven
+    q0 = [
+        4.533595416152678,
+        -3.297650369726543,
+        2.5729325800096166,
+        -0.5241857200729447,
+        -3.687207504761397,
+        -1.053630017,
+    ]
+    found = ik.solve(robot, T, "lm", q0=q0, restarts=1)  # its last descent ends at the pose that meets both
+    assert found.success and max(robot.errors(found.q, T)) < 1e-6
