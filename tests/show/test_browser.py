@@ -300,7 +300,7 @@ def test_the_panel_by_hand(browser, panel):
         hand.press("All solutions")
         hand.wait_for("Infinitely many solutions")
         until(page, lambda: np.linalg.norm(desk.client.camera.position) < 5.0)  # and has come back
-        column = page.locator("table[onmouseover] tr:last-child td").nth(1)
+        column = page.locator("table[onmouseover] tr:last-child td").nth(2)
         column.hover()  # its ghost
         page.wait_for_timeout(500)
         assert desk.worker.idle() and desk.found.chosen == 1 and any(part.visible for part in desk.stage.shade)
