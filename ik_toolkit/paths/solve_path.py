@@ -121,9 +121,9 @@ def solve_path(
     if solver.options.priority is not None:
         given = dict(
             q0=q0, q_end=q_end, max_step=max_step, path_tolerance=path_tolerance, avoid_collisions=avoid_collisions,
-            reconfigurations=reconfigurations, seed=seed, threads=threads, progress=progress, **options,
+            reconfigurations=reconfigurations, seed=seed, threads=threads, progress=progress,
         )  # fmt: skip
-        met, solver, nearest, places = _by_levels(solver, T, kinds, poses, given)
+        met, solver, nearest, places = _by_levels(solver, T, kinds, poses, given, options)
         if met is not None and not met.reconfigurations:
             return _against(met, T, notice)
         wanted, T = T, nearest
@@ -183,13 +183,12 @@ def _check(options: Mapping[str, Any], progress: Any) -> None:
     check_progress(progress, "a fraction and a text")
 
 
-def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict[str, Any]) -> tuple:
+def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict, options: Mapping) -> tuple:
     """Return a path on which every level is met, or None, a Solver without priorities, poses within reach and their places."""
-    robot, given = solver.robot, given | {"priority": None, "slack": None}
-    options = {name: value for name, value in given.items() if name in PathOptions.__annotations__}
-    strict, met = Solver(robot, seed=given["seed"], **options), None
+    robot, exact = solver.robot, {**options, "priority": None, "slack": None}
+    strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks:
-        made = solve_path(robot, poses, **given)
+        made = solve_path(robot, poses, **given, **exact)
         met = made if made.success else None
     dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
     if met is None or met.reconfigurations:

@@ -270,9 +270,8 @@ def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
                     news.clear()
                     commands, about = self.feed.take()
                     for command in commands:
-                        await self.write_message(
-                            command_bytes(command), binary=True
-                        )  # waits until the page can take it
+                        # The call waits until the page can take the message.
+                        await self.write_message(command_bytes(command), binary=True)
                     if about:
                         await self.write_message(as_json(about))
 

@@ -110,6 +110,12 @@ def _apart(a, b):
 
 
 @inline
+def _beside(made, terms):
+    """Return whether a result row's errors are so near the tolerances that it decides nothing, see `DecisionMargins.beside`."""
+    return made[AT.position] < terms[4] and made[AT.rotation] < terms[5]
+
+
+@inline
 def _take(made, row):
     """Copy q, errors and status of the result row `made` to `row`, and mark it as decided by the elimination."""
     row[AT.status], row[AT.excess] = made[AT.status], DECIDED
@@ -139,7 +145,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             [rad] below which a pose decides nothing.
         out: (M, width) results of the short search.
     """
-    edge, clear, length, same, position, rotation = terms
+    edge, clear, length, same = terms[0], terms[1], terms[2], terms[3]
     silent, bounds = np.empty((0, 0)), np.empty((3, N))
     for i in range(2):
         copy(box[i], bounds[i])
@@ -173,13 +179,13 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
                 if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
                     row[AT.excess] = NEAREST
                 continue
-            certain = certain and not (made[AT.position] < position and made[AT.rotation] < rotation)
+            certain = certain and not _beside(made, terms)
         if row[AT.status] == CONVERGED or not certain or not far:
             continue
         if count == 0 and near > 0:
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
-            if made[AT.position] < position and made[AT.rotation] < rotation:
+            if _beside(made, terms):
                 continue  # false alarm: a pose beyond the limits is within the tolerances, or nearly so
         if count > 0:  # these solutions were moved onto their limits
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)

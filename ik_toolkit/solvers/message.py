@@ -25,7 +25,7 @@ ADVICE = {
     Status.STALLED: "try more restarts, another q0, or a looser tolerance",
     Status.ITERATION_LIMIT: "try more iterations where the error still falls, restarts, another q0, or the default solver",
     Status.LIMIT_BLOCKED: (
-        "try restarts, another q0, wider limits, to free part of the target (free_turn, mask), or to put the position before the "
+        "try restarts, another q0 or wider limits, free part of the target (free_turn, mask), or put the position before the "
         "orientation (priority)"
     ),
     Status.UNREACHABLE: "move the target inside the reach",

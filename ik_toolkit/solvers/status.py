@@ -15,8 +15,8 @@ class Status(enum.IntEnum):
     - STALLED: no further progress: a local minimum of the error, or no improvement from any start.
     - ITERATION_LIMIT: the limit on evaluations, or on the iterations of every attempt, was reached first.
     - LIMIT_BLOCKED: joint limits block the way to the target; the message names the joints.
-    - UNREACHABLE: proven out of reach, by a bound from the link lengths or by a closed form; the message says by how
-      much.
+    - UNREACHABLE: proven out of reach, by a bound from the link lengths, by a closed form or by elimination; the message says
+      by how much, or that the proof is certified.
     - SINGULAR: no joint motion reduces the error to first order.
     - NOT_FINITE: the solver diverged, usually because the gains are too high.
     - CHECK_FAILED: the kernel reported success but Pinocchio did not confirm it: a bug.
