@@ -182,9 +182,13 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
     Raises InvalidOption.
     """
     try:
-        return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
+        folders = [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
     except TypeError:
         raise InvalidOption(f"package_dirs must be a list of folders, not {given!r:.60}") from None
+    for folder in folders:
+        if not folder.is_dir():
+            raise InvalidOption(f"package_dirs: there is no folder {folder}")
+    return folders
 
 
 def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.ndarray) -> list[str]:

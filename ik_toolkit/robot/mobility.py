@@ -42,10 +42,12 @@ class Mobility:
     rotation: np.ndarray | None
     reach: float
 
-    def never(self, T: np.ndarray, tolerances: tuple[float, float], free: Any = None) -> list[str]:
+    def never(
+        self, T: np.ndarray, tolerances: tuple[float, float], free: Any = None, of_base: bool = False
+    ) -> list[str]:
         """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad].
 
-        free: axis of the tip (3,) about which the rotation is free, or None.
+        free: axis (3,) about which the rotation is free, of the tip or (of_base) of the base, or None.
         """
         position, angle = (
             max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
@@ -61,7 +63,8 @@ class Mobility:
         if T.ndim == 1:
             return found
         if free is not None:
-            return [*found, *self._never_along(T[:3, :3], np.asarray(free) / np.linalg.norm(free), angle)]
+            free = np.asarray(free) / np.linalg.norm(free)
+            return [*found, *(self._never_beside if of_base else self._never_along)(T[:3, :3], free, angle)]
         if self.rotation is not None:
             off = np.arccos(np.clip((np.trace(self.rotation.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
             if off > angle:
@@ -88,6 +91,18 @@ class Mobility:
         always, wanted = in_words(stands), in_words(asked)
         return [
             f"the tip's {named(free)} axis always stands at {always} to {named(fixed)} of the base, and the target's at {wanted}"
+        ]
+
+    def _never_beside(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
+        """Return a sentence if the tip's fixed axis never stands to the base's axis `free` as in a target's rotation R (3, 3)."""
+        if self.axis is None or self.tip_axis is None:
+            return []
+        stands, asked = (float(np.arccos(np.clip(x, -1.0, 1.0))) for x in (self.axis @ free, free @ R @ self.tip_axis))
+        if abs(stands - asked) <= tolerance:
+            return []
+        axis, always, wanted = named(self.tip_axis), in_words(stands), in_words(asked)
+        return [
+            f"the tip's {axis} axis always stands at {always} to {named(free)} of the base, and the target's at {wanted}"
         ]
 
     def __str__(self) -> str:

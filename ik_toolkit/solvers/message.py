@@ -24,10 +24,7 @@ ADVICE = {
     Status.CONVERGED: "",
     Status.STALLED: "try more restarts, another q0, or a looser tolerance",
     Status.ITERATION_LIMIT: "try more iterations where the error still falls, restarts, another q0, or the default solver",
-    Status.LIMIT_BLOCKED: (
-        "try restarts, another q0 or wider limits, free part of the target (free_turn, mask), or put the position before the "
-        "orientation (priority)"
-    ),
+    Status.LIMIT_BLOCKED: "try restarts, another q0 or wider limits",
     Status.UNREACHABLE: "move the target inside the reach",
     Status.SINGULAR: "start from another q0, or use the default solver with restarts",
     Status.NOT_FINITE: "lower the gains",
@@ -47,7 +44,7 @@ CLOSED_FORM_SAYS = {
     ),
 }
 SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # statuses of a failed search
-BROKEN = "every branch violates a joint limit"
+ASK_LESS = "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
 
 
 def sentence(result: Any) -> str:
@@ -84,7 +81,7 @@ def sentence(result: Any) -> str:
     elif status == Status.ITERATION_LIMIT and plan.options.follow:
         text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     else:
-        text = f"{_failure(result, left, starts)}; {_cause(result) or ADVICE[status]}"
+        text = f"{_failure(result, left, starts)}; {_cause(result) or _advice(result)}"
     return text + _at_each_tip(result)
 
 
@@ -144,13 +141,16 @@ def _cause(result: Any) -> str:
         return ""  # a single attempt proves nothing about the arm
     if outside:
         return f"{outside}; widen that limit, or move the target"
-    advice = (
-        "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
-        if never or few
-        else ADVICE[result.status]
-    )
+    advice = ASK_LESS if never or few else _advice(result)
     alone = "" if ordered else position_alone(result, bool(never))
     return "; ".join(filter(None, [*never, few, alone, advice]))
+
+
+def _advice(result: Any) -> str:
+    """Say what to try after a failed search; a pose that limits block may also ask for less, a position alone cannot."""
+    of, advice = result._of, ADVICE[result.status]
+    less = result.status == Status.LIMIT_BLOCKED and of.plan.options.priority is None
+    return f"{advice}, or {ASK_LESS}" if less and any(kind not in (FREE, POSITION) for kind in of.kinds) else advice
 
 
 def _outside(result: Any) -> str:
@@ -237,7 +237,9 @@ def _closed_form_says(result: Any, left: str) -> str:
     return CLOSED_FORM_SAYS[result.status].format(
         left=left,
         beyond=beyond,
-        why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[AT.excess] > 0.0 else BROKEN,
+        why=f"the stroke of {', '.join(slides)} is {beyond} too short"
+        if row[AT.excess] > 0.0
+        else "every branch violates a joint limit",
         kept="" if result.position_only else " with its orientation kept",
         at=f", with {joints} at a limit" if joints else "",
     )
@@ -282,18 +284,33 @@ def impossible(result: Any) -> list[str]:
     of = result._of
     if not of.T.size:  # a solved row of a batch keeps no target
         return []
-    found, o = [], of.plan.options
-    given = zip(result.robot.arms, of.kinds, of.T.reshape(-1, 4, 4), what_counts(result.robot, o), strict=True)
-    for arm, kind, T, counts in given:
-        free = kind[1] if isinstance(kind, tuple) else counts.free_turn
+    found, o, counts = [], of.plan.options, what_counts(result.robot, of.plan.options)
+    counted = counted_rows(result.robot, of.kinds, o).reshape(-1, 2, 3)
+    for arm, kind, T, one, (lengths, angles) in zip(
+        result.robot.arms, of.kinds, of.T.reshape(-1, 4, 4), counts, counted, strict=True
+    ):
         first = {group for tip, group in o.priority[0] if tip in ("", arm.tip)} if o.priority else set(GROUPS)
-        if kind == FREE or o.relative_to or counts.mask is not None or not first:
+        free, of_base = kind[1] if isinstance(kind, tuple) else one.free_turn, False
+        if free is None and angles.sum() == 2:  # a mask or slack frees the turn about one axis
+            free, of_base = np.where(angles, 0.0, 1.0), one.frame == "base"
+        if kind == FREE or o.relative_to or not first:
             continue
-        target = T[:3, 3] if kind == POSITION or GROUPS[1] not in first else T
-        allowed = np.linalg.norm(np.reshape(counts.slack or (0.0,) * 6, (2, 3)), axis=1)
-        position = o.position_tolerance + allowed[0] if GROUPS[0] in first else np.inf
+        turned = GROUPS[1] in first and angles.sum() >= 2
+        weights = np.array(one.mask or (1.0,) * 6).reshape(2, 3)
+        tolerances = [
+            (tolerance + np.linalg.norm(np.where(rows, dead, 0.0))) / max(weight[rows].min(initial=1.0), 1e-12)
+            for tolerance, rows, dead, weight in zip(
+                (o.position_tolerance, o.orientation_tolerance),
+                (lengths, angles),
+                np.reshape(one.slack or (0.0,) * 6, (2, 3)),
+                weights,
+                strict=True,
+            )
+        ]
+        if GROUPS[0] not in first or not lengths.all():
+            tolerances[0] = np.inf
         at = f"{arm.tip}: " if len(of.kinds) > 1 else ""
-        never = arm.mobility.never(target, (position, o.orientation_tolerance + allowed[1]), free)
+        never = arm.mobility.never(T if turned else T[:3, 3], tuple(tolerances), free, of_base)
         found += [at + text for text in never]
     return found
 

@@ -184,7 +184,9 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
     def mark(cls: Any) -> Any:
         record = step or cls
         if not hasattr(record, "_fields") or not hasattr(record, "step"):
-            raise TypeError(f"{cls.__name__}: a rule is a NamedTuple class with a method step(self, p, e)")
+            raise TypeError(
+                f"{getattr(cls, '__name__', repr(cls))}: a rule is a NamedTuple class with a method step(self, p, e)"
+            )
         if not record._fields:
             raise TypeError(
                 f"{cls.__name__}: numba cannot pass a record without fields; give it at least one parameter"
@@ -211,7 +213,9 @@ def closed_form(cls: Class) -> Class:
     """
     for name in ("_fields", "recognise", "every"):
         if not hasattr(cls, name):
-            raise TypeError(f"{cls.__name__}: a closed form is a NamedTuple class with `recognise` and `every`")
+            raise TypeError(
+                f"{getattr(cls, '__name__', repr(cls))}: a closed form is a NamedTuple class with `recognise` and `every`"
+            )
     return _filled(cls, ClosedForm)
 
 

@@ -96,9 +96,11 @@ def test_follower_limits_bind_the_leader():
     assert robot.upper[k] == pytest.approx(2.0)
 
 
-def test_one_package_folder_may_be_given_by_itself():
-    for given in ("meshes", Path("meshes"), ["meshes"]):
-        assert ik.Robot.load(BRANCHED, tip="l2", package_dirs=given).package_dirs[0] == Path("meshes")
+def test_one_package_folder_may_be_given_by_itself(tmp_path):
+    for given in (str(tmp_path), tmp_path, [tmp_path]):
+        assert ik.Robot.load(BRANCHED, tip="l2", package_dirs=given).package_dirs[0] == tmp_path
+    with pytest.raises(errors.InvalidOption, match="there is no folder"):
+        ik.Robot.load(BRANCHED, tip="l2", package_dirs=tmp_path / "meshes")
 
 
 def test_locked_joints_are_constants():

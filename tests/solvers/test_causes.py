@@ -206,6 +206,26 @@ def test_a_tool_axis_that_the_arm_cannot_point_is_named():
     assert ik.solve(arm, ik.pose(place, direction=(0.0, 0.0, 1.0))).success
 
 
+def test_a_mask_or_slack_that_keeps_the_tilt_is_told_that_the_arm_cannot():
+    """A turn may be freed about an axis of the base or of the tip: what stands still beside it is named, unless it is met."""
+    arm, rng = ik.Robot.load("palletizer"), np.random.default_rng(5)
+    M = arm.fk(arm.random_q(rng))
+    tilt = pin.exp3(np.array([0.2, 0.3, 0.0]))
+    T = pin.SE3(tilt @ M.rotation, M.translation)
+    turned = pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.4])) @ M.rotation, M.translation)
+    for options in (
+        {"mask": (1, 1, 1, 1, 1, 0)},
+        {"mask": (1, 1, 0, 1, 1, 0), "frame": "tip"},
+        {"mask": (1, 1, 1, 0.2, 0.2, 0.2)},
+        {"slack": (0, 0, 0, 0, 0, 9)},
+    ):
+        said = ik.solve(arm, T, **options).message
+        assert "the tip's z axis always" in said and "restarts" not in said, said
+        assert ik.solve(arm, turned, **options).success
+    assert "always stands at 90 deg to y of the base" in ik.solve(arm, T, mask=(1, 1, 1, 1, 0, 1)).message
+    assert ik.solve(arm, T, mask=(1, 1, 1, 1, 0, 0)).success
+
+
 @pytest.mark.parametrize("length", [1.0, 0.1, 0.01, 1e-3])
 def test_a_failure_is_a_closest_configuration_in_the_measure_asked_for(length):
     """Neither a descent of SciPy's from there nor the place where the position is met is better by more than a little."""
