@@ -10,7 +10,7 @@ from .levels import QUADRATIC
 from .limits import face, held_back
 from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
-from .search import Patience, Spent, make_attempt, start_attempt
+from .search import KNOWN, Patience, Spent, make_attempt, start_attempt
 
 WORST = 1e300  # a squared error above any other
 
@@ -124,15 +124,20 @@ def search_by_levels(rule, p, job, level, plain, excess):
         near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
         patience = start_attempt(p, job, index - int(o.given), excess)
         if phase == PHASE.constrained:
-            patience = Patience(patience.iterations, 16.0 if level[0] > 0.0 else 1.0, QUADRATIC.decay)
+            # An error below `small` may fall further: another attempt may then meet the tolerance in the same place.
+            sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
+            known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
+            patience = Patience(patience.iterations, 16.0 if level[0] > 0.0 else 1.0, QUADRATIC.decay, known)
         elif phase == PHASE.out_of_reach:
-            patience = Patience(patience.iterations, WORST, 1.0)
+            patience = Patience(patience.iterations, WORST, 1.0, 0.0)
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, True, spent, least, tries)
         found = tries if least < before else found
         cut_off += status == ITERATION_LIMIT
         if status == CONVERGED:
             best = compare(p, e, level, best, tries, job)
+        elif status == KNOWN:
+            best = Minimum(best.ee, best.beside, best.agreed + 1, best.found, best.met)
         tries += 1
         enough = best.agreed >= (QUADRATIC.agree if best.ee < 0.0 else QUADRATIC.agree_reach)
         enough = enough or (best.ee < 0.0 and near + far >= QUADRATIC.most)

@@ -43,6 +43,9 @@ class LevelSteps(NamedTuple):
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
     # this share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
     same_reach: float = 1e-5
+    # an attempt that comes this near [norm, rad or length over the reach] to the best minimum counts as having found it: of attempts
+    # on five joints that do, at most 1 in 20 end elsewhere
+    near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
     agree_reach: int = 6  # this number if level 0 is out of reach, where minima are close to one another
     most: int = 20  # number of attempts after which the search ends if any of them has reached level 0
@@ -57,7 +60,7 @@ class LevelSteps(NamedTuple):
     table_six: int = 512
     known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
     # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
-    decay: float = 0.5
+    decay: float = 0.3
 
 
 QUADRATIC = LevelSteps()

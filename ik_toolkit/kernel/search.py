@@ -43,8 +43,9 @@ from .vectors import clear
 # A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
 # ends an attempt with success: q is a first-order minimum (see levels.py).
 SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
-# An attempt without a status yet either continues (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
-GOING, STILL = -1, -2
+# An attempt without a status yet continues (GOING), no longer moves any joint (STILL; `conclude` finds out why), or has come near
+# the minimum that is known (KNOWN).
+GOING, STILL, KNOWN = -1, -2, -3
 
 
 class GiveUpRules(NamedTuple):
@@ -88,6 +89,7 @@ class Patience(NamedTuple):
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]
     decay: float  # factor of the bound in each iteration
+    near: float  # squared distance to `SearchInput.closest` below which the attempt ends, because it would end there (0: never)
 
 
 @compiled
@@ -172,6 +174,8 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
         status = judge_evaluation(e, k, ceiling, patience, count, o)
         if status != CONVERGED and moved <= END.rest and e.ee >= before and code != WAITING:
             status = STILL
+        if status == GOING and patience.near > 0.0 and distance(q, job.closest, job.weights, job.box) < patience.near:
+            status = KNOWN
         if status != GOING:
             break
         before = e.ee
@@ -219,7 +223,7 @@ def search(rule, p, job, needs_jacobian, excess):
         patience = start_attempt(p, job, tries - given, excess)
         if tries == last:
             copy(start, q)
-            patience = Patience(o.iterations, np.inf, 1.0)
+            patience = Patience(o.iterations, np.inf, 1.0, 0.0)
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries % attempts)
         if place == BEST_OF_ALL and (least < before or status == CONVERGED):
@@ -305,7 +309,7 @@ def start_attempt(p, job, k, excess):
     if excess > 0.0 or o.attempts == 1.0:
         ceiling = np.inf  # A single attempt, and any at a target out of reach, is never given up early.
     clear(p.desk.x)
-    return Patience(iterations, ceiling, decay)
+    return Patience(iterations, ceiling, decay, 0.0)
 
 
 def seek(rule, p, job, needs_jacobian, excess):
