@@ -294,9 +294,11 @@ class Run:
         rate, joint = time_law(slope, bend, s, speed, most, top=top, gain=RETIME.quick, start=start)
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
-        steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
+        steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
-        t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
+        t = np.arange(min(steps, self.most) + 1.0) * self.dt * slower  # A clock may nearly stand still, so `steps` may be huge.
+        if steps <= self.most:
+            t[-1] = times[-1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
         held = joint[np.searchsorted(s, at, side="right") - 1]
