@@ -124,12 +124,32 @@ class Minima(NamedTuple):
     """Constants of the search for a path through the nearest reachable poses."""
 
     starts: int = 200  # random starts from which the first pose is solved
+    attempts: int = 20  # attempts at each pose, to test whether an arm of few joints reaches all of them
     followed: int = 8  # largest number of local minima at the first pose that are followed along the path
     # [rad, or length over the reach] a joint that moves further between two poses has changed its branch
     jump: float = 0.5
 
 
 MINIMA = Minima()
+
+
+def all_reached(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None) -> bool:
+    """Return whether a few attempts reach each of the poses T (N, 4, 4) or (N, F, 4, 4); the first that is missed ends the test.
+
+    Args:
+        solver: A Solver without the option `priority`.
+        T: The poses [m].
+        kinds: A target kind per tip.
+        q0: (n,) Start of the first attempt [rad or m], or None.
+    """
+    plan = solver.plan_for(kinds).varied(restarts=MINIMA.attempts - 1)
+    q = plan.home if q0 is None else q0[None]
+    for t in range(len(T)):
+        row = plan.solve(T[t : t + 1], kinds, q, True)
+        if row[AT.status] != CONVERGED:
+            return False
+        q = row[None, ANSWER : ANSWER + plan.robot.n]
+    return True
 
 
 def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None) -> np.ndarray:

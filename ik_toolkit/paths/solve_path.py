@@ -29,7 +29,7 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, Problem, nearest_poses
+from .path_problem import STEP, Problem, all_reached, nearest_poses
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
@@ -125,7 +125,7 @@ def solve_path(
         )  # fmt: skip
         met, solver, nearest, places = _by_levels(solver, T, kinds, poses, given, options)
         if met is not None and not met.reconfigurations:
-            return _against(met, T, notice)
+            return _against(met, None, notice)
         wanted, T = T, nearest
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
@@ -187,7 +187,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     """Return a path on which every level is met, or None, a Solver without priorities, poses within reach and their places."""
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
-    if not freedom(strict.plan_for(kinds), kinds).lacks:
+    if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):
         made = solve_path(robot, poses, **given, **exact)
         met = made if made.success else None
     dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)

@@ -296,7 +296,9 @@ class Run:
         times = times_of(s, rate)
         steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
-        t = np.arange(min(steps, self.most) + 1.0) * self.dt * slower  # A clock may nearly stand still, so `steps` may be huge.
+        t = (
+            np.arange(min(steps, self.most) + 1.0) * self.dt * slower
+        )  # A clock may nearly stand still, so `steps` may be huge.
         if steps <= self.most:
             t[-1] = times[-1]
         at, now, gain = coordinate_at(t, times, s, rate)

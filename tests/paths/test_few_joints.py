@@ -32,6 +32,8 @@ def test_full_poses_that_the_arm_draws_itself_are_one_motion(count, slides):
         assert made.position_error.max() <= 1e-6 and made.orientation_error.max() <= 1e-6
         step = np.abs(np.diff(made.curve, axis=0)) / np.where(robot.slides, made.max_step[1], made.max_step[0])
         assert step.max() <= 1.0 + 1e-9
+        ordered = ik.solve_path(robot, T, priority="position")  # every level can be met, so none is given up
+        assert ordered.success and np.abs(ordered.q - Q).max() < 1e-5 and "priority" not in ordered.message
         if gap < 0.1:
             assert made.deviation[0] < made.path_tolerance[0] and made.deviation[1] < made.path_tolerance[1]
 
