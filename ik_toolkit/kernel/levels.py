@@ -302,7 +302,7 @@ def step_by_levels(p, e, level, far):
 
     level (2 F,): level of each group of errors; far: whether level 0 is minimised, because it is out of reach. Joints at a limit
     that the step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is
-    released.
+    released, one after the other: in a corner of the limits the multipliers of level 0 are only known when enough joints are free.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
@@ -311,8 +311,8 @@ def step_by_levels(p, e, level, far):
         value += p.group(e, g) if level[g] == 0.0 else 0.0
     p.stack(e)
     copy(s.w, bench.asked)
-    released, first = False, 0 if far else 1  # The joint limits act on the first level that is minimised.
-    for _ in range(2 * n + 2):
+    released, first = 0, 0 if far else 1  # The joint limits act on the first level that is minimised.
+    for _ in range(3 * n + 2):
         k = 0
         clear(s.dq)
         for i in range(n):
@@ -325,6 +325,8 @@ def step_by_levels(p, e, level, far):
         for c in range(int(top) + 1):
             if c == 0 and not far:
                 k = onto_constraint(s, level, k, value, bench)
+                if released > 0:  # What is left within the tolerance must not push the released joints back out.
+                    clear(s.dq)
                 continue
             slope_of_level(p, c, level, bench.gradient)
             if c > 0 and not far:
@@ -344,8 +346,8 @@ def step_by_levels(p, e, level, far):
         if (e.ee < 0.0 or far) and steep <= QUADRATIC.first_order * QUADRATIC.first_order:
             if inward < 0:
                 return AT_MINIMUM
-            if not released:
-                released = True
+            if released < n:
+                released += 1
                 s.w[inward] = bench.asked[inward]
                 continue
         break
