@@ -145,14 +145,15 @@ def search_by_levels(rule, p, job, level, plain, excess):
             break
     if best.agreed == 0:
         best = Minimum(WORST, WORST, 0, found, False)
-    return conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess)
+    return conclude_by_levels(rule, p, job, best, least < 0.0, spent, tries, cut_off, excess)
 
 
 @inline
-def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
+def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, excess):
     """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start.
 
-    Returns the Answer and the index of its stored errors.
+    reached: whether any attempt met level 0, so that no limit can be said to block it. Returns the Answer and the index of its
+    stored errors.
     """
     o, s, q = job.orders, p.desk, p.desk.q
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
@@ -171,7 +172,7 @@ def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
         evaluations += 1
         held = held_back(p, e, job.near, job.box, limits)
         status = TOO_FAR if held >= 0 else STALLED
-    elif limits:
+    elif limits and not reached:
         for i in range(q.shape[0]):
             if q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i):
                 status = LIMIT_BLOCKED

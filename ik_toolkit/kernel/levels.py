@@ -25,8 +25,8 @@ from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
 class LevelSteps(NamedTuple):
     """Numeric constants of the steps, measured on eight arms; errors are in rad and in lengths over the arm's reach."""
 
-    # optimality test: norm of the gradient in the null space as a share of the error, and ten times the largest multiplier of the
-    # wrong sign
+    # optimality test: norm of the gradient in the null space, and a tenth of the largest multiplier of the wrong sign, as shares of
+    # the error
     first_order: float = 1e-6
     # squared error below which the gradient no longer has to fall with it: only directions flatter than `flat` are left there, such
     # as the free turn of a tool whose axis in the description is rounded, worth microradians over a whole turn
@@ -43,8 +43,8 @@ class LevelSteps(NamedTuple):
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
     # this share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
     same_reach: float = 1e-5
-    # an attempt that comes this near [norm, rad or length over the reach] to the best minimum counts as having found it: of attempts
-    # on five joints that do, at most 1 in 20 end elsewhere
+    # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it: of those
+    # attempts on five joints at most 1 in 20 would end elsewhere
     near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
     agree_reach: int = 6  # this number if level 0 is out of reach, where minima are close to one another
@@ -284,9 +284,12 @@ def inverse_multipliers(s, level, k, bench):
 
 
 @inner
-def wrongly_held(s, bench, box):
-    """Return the joint held at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none."""
-    worst, most = -1, 10.0 * QUADRATIC.first_order
+def wrongly_held(s, size, bench, box):
+    """Return the joint held at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none.
+
+    size: squared error of the level, with which the fall is compared, see `size_of_level`.
+    """
+    worst, most = -1, 10.0 * QUADRATIC.first_order * math.sqrt(size)
     for i in range(s.q.shape[0]):
         if bench.asked[i] > 0.0 and not s.w[i] > 0.0:
             z = bench.gradient[i] + dot(s.J[i], bench.multiplier, s.J.shape[1])
@@ -332,7 +335,7 @@ def step_by_levels(p, e, level, far):
             if c > 0 and not far:
                 multipliers(level, count, bench)
             if c == first:
-                inward = wrongly_held(s, bench, box)
+                inward = wrongly_held(s, size_of_level(p, e, c, level), bench, box)
             if k == 0:
                 break
             hessian_of_level(p, c, level, bench)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import serial_arms
-from robots import have_data, urdf
+from robots import few_joints, have_data, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -51,6 +51,20 @@ def five_joints():
     """The HydroLek with one joint locked."""
     arm = ik.Robot.load("hydrolek_7w")
     return arm.locked({arm.joint_names[3]: 0.3})
+
+
+@pytest.mark.parametrize("slides", [False, True])
+def test_a_position_in_a_corner_of_the_limits_is_met_and_blames_no_limit(slides):
+    """With most joints at a limit, the multipliers of the position are only known once joints are released."""
+    robot, rng = few_joints(3, 23, slides), np.random.default_rng(3)
+    for _ in range(60):
+        q = np.where(rng.random(3) < 0.6, np.where(rng.random(3) < 0.5, robot.lower, robot.upper), robot.random_q(rng))
+        M = robot.fk(q)
+        T = pin.SE3(pin.exp3(rng.normal(size=3)) @ M.rotation, M.translation).homogeneous
+        found = ik.solve(robot, T, priority="position")
+        assert found.success and found.position_error <= 1e-6 and "reached; orientation" in found.message, found.message
+        other = ik.solve(robot, T, priority="position", q0=q)  # the planted corner meets the position, so it is a bound
+        assert other.success and other.orientation_error <= robot.errors(q, T)[1] + 1e-6
 
 
 @pytest.mark.parametrize("first", ["position", "orientation"])
