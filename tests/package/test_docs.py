@@ -27,13 +27,12 @@ def commands(page):
 
 
 def write_files(page, folder):
-    """Write the blocks that are files (their first line is `# NAME.py`) to a folder once; return the other Python blocks."""
+    """Write the blocks that are files (their first line is `# NAME.py`) to a folder; return the other Python blocks."""
     rest = []
     for block in blocks(page, "python"):
         if name := re.match(r"# ([\w/]+\.py)\n", block):
             (folder / name[1]).parent.mkdir(exist_ok=True)
-            if not (folder / name[1]).exists():
-                (folder / name[1]).write_text(block)
+            (folder / name[1]).write_text(block)
         else:
             rest.append(block)
     return rest
@@ -42,28 +41,21 @@ def write_files(page, folder):
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
-@pytest.fixture
-def folder(page, tmp_path_factory, monkeypatch):
-    """The folder in which one reads a page: what its files hold is compiled once."""
-    made = tmp_path_factory.getbasetemp() / f"guide_{page.stem}"
-    made.mkdir(exist_ok=True)
-    monkeypatch.chdir(made)
-    return made
-
-
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
-def test_examples_run(page, folder, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(folder)
+def test_examples_run(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     if importlib.util.find_spec("meshcat"):
         # The only difference from what a reader gets: no server, which is a process of its own.
         monkeypatch.setattr("meshcat.visualizer.ViewerWindow", lambda **_: Wire())
-    code = "\n".join(write_files(page, folder))
+    code = "\n".join(write_files(page, tmp_path))
     exec(compile(code, str(page), "exec"), {"__name__": "guide"})
 
 
 @pytest.mark.parametrize(("page", "command"), [(page, line) for page in PAGES for line in commands(page)])
-def test_commands_run(page, command, folder, capsys):
-    write_files(page, folder)
+def test_commands_run(page, command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_files(page, tmp_path)
     command = re.sub(r"--seconds \d+", "--seconds 1", command)  # a search takes as long as it is given
     assert main(shlex.split(command)[1:]) == 0
     said = capsys.readouterr()
