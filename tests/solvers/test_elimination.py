@@ -98,7 +98,7 @@ def fold(robot, q, joint):
     ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8), ("offset wrist", 1),
 ])  # fmt: skip
 def test_planted_solutions_are_listed_and_certified(kind, most_open):
-    Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (50, 6))
+    Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (100, 6))
     for seed in (2, 3):
         arm = arm_of(kind, seed)
         lists, verdicts = ask(arm, Q)
