@@ -1,7 +1,7 @@
 """Random arms, closed paths, methods and gains, to compare the product of step derivatives with simulated runs.
 
 A case says by which factor a small error should change over a path, and by which the difference of two runs does that start
-1e-7 apart. scripts/theory_patko.py compares 10,000 of them, the suite 300. The laws of the methods are
+1e-7 apart. scripts/theory_patko.py compares 10,000 of them, the suite 60. The laws of the methods are
 written here again, in numpy.
 """
 

@@ -186,13 +186,7 @@ def test_no_command_shows_the_help(run):
     ("arguments", "code"),
     [
         (["robots"], 0),
-        pytest.param(["robots", "--json"], 0, marks=pytest.mark.slow),  # a process each: one of a kind suffices
-        (["--help"], 0),
-        pytest.param(["dh", DH], 0, marks=pytest.mark.slow),
-        (["check", "tests/data/nothing.urdf"], 2),
-        pytest.param(["solve", "planar_2r", "--xyz", "1", "1", "0"], 0, marks=pytest.mark.slow),
         (["solve", "planar_2r", "--xyz", "3", "0", "0", "--json"], 1),
-        pytest.param(["solve", "planar_2r", "--xyz", "3", "0", "0"], 1, marks=pytest.mark.slow),
     ],
 )
 def test_a_reader_that_leaves_early_changes_nothing(arguments, code):

@@ -65,6 +65,8 @@ def test_a_tip_without_a_target_is_free(run, brokk, poses):
     assert code == 0 and [line.split() for line in out.splitlines() if line.startswith(f" {RIGHT} ")] == [
         [RIGHT, "no", "target", "free", "free"]
     ]
+    assert "turret" not in answer(run, *words(LEFT, poses[1][0][:3, 3]), "--lock", "turret=0.3")["joint_names"]
+    assert not answer(run, *words(LEFT, (9.0, 0.0, 0.0)), code=1)["success"]
     only = answer(run, *words(LEFT, poses[1][0][:3, 3]), "--tip", LEFT)
     assert only["joint_names"] == list(brokk.arms[0].joint_names)
 
@@ -161,6 +163,14 @@ def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
         (["--xyz", "1", "0", "1", "--tip", LEFT, "--relative", f"{RIGHT}:{LEFT}"], "--relative is for several tips"),
         (["--target", f"{LEFT}:1,0,1", "--tip", RIGHT], f"'{LEFT}' is not one of the tips solved for"),
         (["--target", f"{LEFT}:1,0,1", "--tip", LEFT, "--tip", LEFT], "--tip gives 'left_tip' twice"),
+        (["--target", f"{LEFT}:1,0,1", "--xyz", "1", "0", "0"], "omit --xyz"),
+        (["--target", "left_tp:1,0,1"], "Did you mean 'left_tip'"),
+        (["--target", LEFT], "TIP:X,Y,Z"),
+        (["--target", f"{LEFT}:1,0,1", "--target", f"{LEFT}:1,0,1"], "twice"),
+        (["--target", f"{LEFT}:1,0,1,0,0,0,0"], "--quat-xyzw has length 0"),
+        (["--target", f"{LEFT}:nan,0,1"], "finite"),
+        (["--target", f"{LEFT}:1,0,1", "--mask", *"111100"], "must be 0"),
+        (["--target", f"{LEFT}:1,0,1", "-s", "state-space"], "for several use 'lm'"),
         (["--target", f"{LEFT}:1,0,1,2"], "--target takes TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW"),
         (["--target", f"{LEFT}:1,0,1", "--mask", f"{LEFT}:1,1"], "--mask takes 6 numbers; got 2"),
         (["--target", f"{LEFT}:1,0,1", "--mask", "1,1,1,0,0,0", "--mask", "1,1,0,0,0,0"], "--mask is given twice"),

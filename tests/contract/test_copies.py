@@ -231,11 +231,14 @@ def test_limits_changed_in_a_copy_are_its_own():
     assert copied.robot is original.robot and copy.deepcopy(original).robot is not original.robot
 
 
-def test_a_tracker_works_in_another_process():
+def test_another_process_goes_on_with_a_tracker_and_passes_an_error_on():
     tracker, targets = moving(hydrolek()), poses(hydrolek())[20:]
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         there = pool.apply(follow, (tracker, [T.homogeneous for T in targets]))
+        with pytest.raises(ik.NotSolved, match="UNREACHABLE") as caught:
+            pool.map_async(fail, [(9.0, 9.0, 0.0)]).get(timeout=100)
     assert same(there, follow(tracker, [T.homogeneous for T in targets]))
+    assert caught.value.result.status.name == "UNREACHABLE"
 
 
 def follow(tracker, targets):
@@ -299,13 +302,6 @@ def test_every_exception_of_ours_crosses_processes():
 
 def fail(position):
     return ik.solve(robots.load("planar_2r"), position).raise_for_status()
-
-
-def test_an_error_in_a_worker_reaches_the_caller():
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        with pytest.raises(ik.NotSolved, match="UNREACHABLE") as caught:
-            pool.map_async(fail, [(9.0, 9.0, 0.0)]).get(timeout=100)
-    assert caught.value.result.status.name == "UNREACHABLE"
 
 
 def test_what_is_kept_of_a_batch_says_how_much():

@@ -28,7 +28,10 @@ def double(x):
 @pytest.fixture
 def double(tmp_path, caplog, monkeypatch):
     """A function that calls a freshly imported `double`, compiled or loaded, and gives what was logged meanwhile."""
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(config, "CACHE_DIR", "")  # what NUMBA_CACHE_DIR sets
+    monkeypatch.setitem(
+        cache.saying, "said", True
+    )  # of a compilation that takes longer than a second, on a busy machine
     path = tmp_path / "small_kernel.py"
     path.write_text(SOURCE)
     spec = importlib.util.spec_from_file_location("small_kernel", path)

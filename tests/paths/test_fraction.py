@@ -32,8 +32,7 @@ def test_nothing_of_a_path_whose_first_pose_is_out_of_reach():
     assert ik.solve_path(arm, [(2.0 * arm.reach, 0.0, 0.0), (0.5 * arm.reach, 0.0, 0.0)]).fraction == 0.0
 
 
-@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof"])
-@pytest.mark.parametrize("count", [2, 7])
+@pytest.mark.parametrize(("name", "count"), [("hydrolek_7w", 2), ("inspection_7dof", 7)])
 def test_poses_of_an_arm_against_single_solves(name, count):
     """Where the reach ends at all, the motion ends as well; how many poses describe the line does not matter."""
     arm, rng = robots.load(name), np.random.default_rng(4)

@@ -36,7 +36,7 @@ def stream(robot, seed, place):
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "planar_3r", "panda", "ur5"])
 def test_none_where_limits_and_the_edge_of_reach_take_turns(name, method):
     robot = ik.Robot.load(name)
-    for seed in range(12):
+    for seed in range(6):
         q0, targets = stream(robot, seed, (0.6, 0.95, 1.3)[seed % 3])
         tracker = ik.Tracker(robot, method, q0=q0)
         Q = np.array([q0, *(tracker.update(target, DT).q for target in targets)])

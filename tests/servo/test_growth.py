@@ -205,19 +205,19 @@ def test_mistakes_about_charts_are_typed():
 
 
 def test_the_product_foretells_which_runs_stay():
-    """The first 120 cases of scripts/theory_patko.py.
+    """The first 60 cases of scripts/theory_patko.py.
 
     A redundant arm at acceleration level has null-space motion, by which its runs may leave the configurations that were judged.
     """
     made = []
     for seed in itertools.count():
         made += cases(seed)
-        if len(made) >= 120:
+        if len(made) >= 60:
             break
     wrong = [one for one in made if one.verdict == "contradict"]
     assert all(one.method in ("ca", "aad") and one.joints > one.errors for one in wrong)
     assert len(wrong) <= 0.03 * len(made) and sum(one.verdict == "agree" for one in made) > 0.85 * len(made)
-    assert min(sum((one.foretold > 1.0) == grows for one in made) for grows in (True, False)) > 20
+    assert min(sum((one.foretold > 1.0) == grows for one in made) for grows in (True, False)) > 10
 
 
 def test_an_open_path_is_judged_alike_in_every_unit_of_time():

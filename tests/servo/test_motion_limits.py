@@ -65,7 +65,7 @@ def test_limits_hold_in_steps_of_any_length_and_between_them(seed):
         assert (np.abs(bend) <= limits[3] * h * (1.0 + 1e-9) + 1e-14 / h).all()  # rounding of q
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     distance=some.floats(1e-9, 10.0),
     share=some.floats(-1.0, 1.0),

@@ -239,12 +239,6 @@ def test_the_orientation_of_a_path_from_a_file_can_be_left_free(arm, tmp_path, c
         assert ("orientation" in json.loads(capsys.readouterr().out)["figures"]) is posed
 
 
-def test_a_start_out_of_reach_is_said():
-    robot = ik.Robot.load("planar_2r")
-    found, words = explain(robot, ik.line((5.0, 0.0, 0.0), (6.0, 0.0, 0.0), duration=5.0), robot.home)
-    assert found.until == 0 and words.startswith("Of the path, its start is out of reach: ")
-
-
 @DATA
 @pytest.mark.slow
 def test_every_robot_of_the_list_follows_its_default_path():

@@ -162,7 +162,20 @@ def test_command_warns_and_refuses(capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the command shows the warning itself
         code = main(
-            ["track", "panda", "-m", "ca", "--kp", "30000", "--kd", "20", "--duration", "3", "--no-limits", "--json"]
+            [
+                "track",
+                "planar_2r",
+                "-m",
+                "ca",
+                "--kp",
+                "30000",
+                "--kd",
+                "20",
+                "--duration",
+                "3",
+                "--no-limits",
+                "--json",
+            ]
         )
     out = capsys.readouterr()
     assert code == 1 and "unstable" in out.err and "Try kp" in out.err

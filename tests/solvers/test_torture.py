@@ -87,15 +87,15 @@ def test_success_is_never_claimed_above_the_tolerance(row, record_property):
     names = {
         "planar-2r": ["planar_2r"],
         "inspection": ["inspection_7dof"],
-        "eaik": ["locked", "locked"],
+        "eaik": ["locked"],
         "elimination": ["hydrolek_7w", "continuous_mix"],
         "newton": ["planar_2r", "continuous_mix"],
     }
     done = sum(
-        check_solver(row, name, 150, 1) for name in names.get(row.name, ["hydrolek_7w", "slides_mix", "mimic_mix"])
+        check_solver(row, name, 60, 1) for name in names.get(row.name, ["hydrolek_7w", "slides_mix", "mimic_mix"])
     )
     record_property("cases", done)
-    assert done >= 300
+    assert done >= 120
 
 
 @pytest.mark.slow

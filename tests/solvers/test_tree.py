@@ -1,6 +1,5 @@
-"""Several tips at once: kinematics against Pinocchio, the contract of the solver, shared joints, errors, the command line."""
+"""Several tips at once: kinematics against Pinocchio, shared joints, errors."""
 
-import json
 import re
 
 import numpy as np
@@ -10,7 +9,6 @@ from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
 from ik_toolkit import errors
-from ik_toolkit.robot.rotation import matrix_quat
 from ik_toolkit.robot.tree import Tree
 
 
@@ -40,31 +38,19 @@ def test_reachable_targets_are_solved(tree):
     assert solved >= 0.99 * 500
 
 
-def test_contract(tree):
+def test_tips_may_be_given_in_any_order(tree):
+    """What every answer keeps is in the contract tests, on two arms."""
     rng = np.random.default_rng(21)
     solver = ik.Solver(tree, check=False)
-    for k in range(25):
-        q = tree.random_q(rng)
-        T = poses(tree, q)
-        before = [x.copy() for x in T]
-        start = np.clip(q + rng.uniform(-0.3, 0.3, tree.n), tree.lower, tree.upper)
-        kept = start.copy()
-        options = dict(q0=start) if k % 2 else {}
-        result = solver(T, **options)
-        assert all((a == b).all() for a, b in zip(T, before, strict=True)) and (start == kept).all()
+    for _ in range(5):
+        T = poses(tree, tree.random_q(rng))
+        result = solver(T)
         measured = tree.errors(result.q, T)
         assert np.allclose(list(result.position_errors.values()), [e[0] for e in measured], atol=1e-9)
         assert np.allclose(list(result.orientation_errors.values()), [e[1] for e in measured], atol=1e-7)
         assert result.position_error == max(result.position_errors.values())
-        assert result.orientation_error == max(result.orientation_errors.values())
-        assert result.success == (result.position_error <= 1e-6 and result.orientation_error <= 1e-6)
-        again = solver(dict(zip(reversed(tree.tips), reversed(T), strict=True)), **options)
-        assert again.q.tobytes() == result.q.tobytes()
-        assert (again.iterations, again.fk_evaluations) == (result.iterations, result.fk_evaluations)
-        assert result.fk_evaluations > result.iterations >= 0 and result.limited_joints == tuple(
-            tree.at_limits(result.q)
-        )
-        assert len(result.message) > 10 and json.dumps(result.to_dict())
+        again = solver(dict(zip(reversed(tree.tips), reversed(T), strict=True)))
+        assert again.q.tobytes() == result.q.tobytes() and again.fk_evaluations == result.fk_evaluations
 
 
 def test_a_tip_left_out_misses_nothing(brokk):
@@ -304,60 +290,3 @@ def test_what_several_tips_cannot_do_is_said(brokk):
             ik.solve(brokk, T, rule)
     with pytest.raises(errors.InvalidTarget, match="a dict of References, one for each of left_tip, right_tip"):
         ik.track(brokk, ik.line([0, 0, 0], [1, 0, 0], duration=1.0))
-
-
-# ----------------------------------------------------------------------------------------------------- the command line
-def options_of(targets):
-    words = []
-    for tip, T in targets.items():
-        numbers = [*T[:3, 3], *matrix_quat(T[:3, :3])] if T.ndim == 2 else T
-        words += ["--target", f"{tip}:" + ",".join(f"{x:.12f}" for x in numbers)]
-    return words
-
-
-def test_command_line_solves_both_tips(run, brokk):
-    T = dict(zip(brokk.tips, poses(brokk, brokk.random_q(np.random.default_rng(40))), strict=True))
-    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["success"] and answer["joint_names"] == list(brokk.joint_names)
-    assert set(answer["tips"]) == set(brokk.tips) and set(answer["target"]) == set(brokk.tips)
-    for actual, target in zip(direct(brokk, answer["q"]), T.values(), strict=True):
-        assert np.abs(actual - target).max() < 3e-6
-    turned = run("solve", "brokk_hydrolek", *options_of(dict(reversed(T.items()))), "--json")
-    assert json.loads(turned[1])["q"] == answer["q"]
-    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T))
-    assert code == 0 and "left_tip    world" in out and "turret" in out
-
-
-def test_command_line_takes_positions_starts_and_locked_joints(run, brokk):
-    q = brokk.home.copy()
-    q[0] = 0.3
-    T = dict(zip(brokk.tips, poses(brokk, q), strict=True))
-    T["right_tip"] = T["right_tip"][:3, 3]
-    start = ",".join(str(x) for x in q)
-    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--q0", start, "--json", "--tolerance", "1e-5")
-    answer = json.loads(out)
-    assert code == 0 and answer["iterations"] == 0
-    assert answer["tips"]["right_tip"]["orientation_error"] is None
-    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--lock", "turret=0.3", "--json")
-    assert code == 0 and "turret" not in json.loads(out)["joint_names"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--target", "left_tip:9,0,0", "--target", "right_tip:1,0,1"], "left_tip by"),
-        (["--target", "left_tp:1,0,1", "--target", "right_tip:1,0,1"], "Did you mean 'left_tip'"),
-        (["--target", "left_tip:1,0"], "TIP:X,Y,Z"),
-        (["--target", "left_tip"], "TIP:X,Y,Z"),
-        (["--target", "left_tip:1,0,1", "--target", "left_tip:1,0,1"], "twice"),
-        (["--target", "left_tip:1,0,1,0,0,0,0"], "--quat-xyzw has length 0"),
-        (["--target", "left_tip:nan,0,1"], "finite"),
-        (["--target", "left_tip:1,0,1", "--xyz", "1", "0", "0"], "omit --xyz"),
-        (["--target", "left_tip:1,0,1", "-s", "state-space"], "for several use 'lm'"),
-        (["--target", "left_tip:1,0,1", "--mask", "1", "1", "1", "1", "0", "0"], "must be 0"),
-    ],
-)
-def test_command_line_refuses_in_one_sentence(run, words, message):
-    code, out, err = run("solve", "brokk_hydrolek", *words)
-    assert code == (1 if "9,0,0" in words[1] else 2) and message in err and "Traceback" not in err

@@ -5,7 +5,7 @@ import pytest
 
 from ik_toolkit.servo import laws, loop
 from ik_toolkit.servo.constrained_step import Allowed
-from ik_toolkit.servo.laws import AT_RATE, AT_RATE_AND_STEP, AT_STEP, CLIP, LAW, STATE, Law
+from ik_toolkit.servo.laws import CLIP, LAW, STATE, Law
 from ik_toolkit.servo.viability import approach
 
 
@@ -67,51 +67,6 @@ def test_damping_fades_in_near_singular_poses():
             np.testing.assert_allclose(
                 out, U[:, :k] @ (values / (values**2 + extra) * (V[:, :k].T @ b)), rtol=1e-5, atol=1e-8
             )
-
-
-@pytest.mark.parametrize("code", [LAW.cv, LAW.av, LAW.ca, LAW.aa])
-@pytest.mark.parametrize("ratio", [0.0, 0.8])
-def test_the_published_laws(code, ratio):
-    rng = np.random.default_rng(code)
-    n, m, h = 7, 6, 0.02
-    for reading in (AT_RATE, AT_RATE_AND_STEP, AT_STEP):
-        p = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=reading, omit=0.3)
-        J, e, v, a, bias, ahead = rng.normal(size=(n, m)), *rng.normal(size=(5, m))
-        rate, prev, old = *rng.normal(size=(2, n)), np.empty(n)
-        old[:] = prev
-        pinv = np.linalg.pinv(J.T)
-        G, y = np.zeros((n, n)), np.empty(n)
-        inverse, aim = laws.PseudoInverse(J, G, G, y, np.empty(m)), laws.TargetMotion(e, ahead, v, a, bias)
-        joints = laws.JointMotion(*np.full((5, n), 9.0))
-        move, null, x1, x2, x = joints
-        laws.factor(J, m, 0.0, G, y)
-        laws.prepare(p, inverse, aim, rate, h, joints)
-        step = pinv @ (ahead - 0.3 * e) if code in (LAW.av, LAW.aa) else np.zeros(n)
-        own = rate - pinv @ (J.T @ rate) if code >= LAW.ca else np.zeros(n)
-        np.testing.assert_allclose(move, step, atol=1e-11)
-        np.testing.assert_allclose(null, own, atol=1e-11)
-        if code >= LAW.ca:
-            expected = step / h + own
-            first, second = {
-                AT_RATE: (rate, rate),
-                AT_RATE_AND_STEP: (rate, expected),
-                AT_STEP: (expected, expected),
-            }[reading if code == LAW.aa else AT_RATE]
-            np.testing.assert_allclose(x1, first, atol=1e-9)
-            np.testing.assert_allclose(x2, second, atol=1e-9)
-        laws.command(p, inverse, aim, rate, prev, h, ratio, joints)
-        if code == LAW.cv:
-            u = pinv @ (v + 3.0 * e)
-            want = u + 0.5 * ratio * (u - old)
-        elif code == LAW.av:
-            u, want = old, step / h
-        elif code == LAW.ca:
-            u = pinv @ (a + 8.0 * (v - J.T @ rate) + 20.0 * e - bias) - 0.9 * own
-            want = rate + h * (u + 0.5 * ratio * (u - old))
-        else:
-            u, want = old, rate + h * ((step / h - rate + own) / (0.7 * h) - 0.5 / 0.7 * (pinv @ bias) - 0.9 * own)
-        np.testing.assert_allclose(x, want, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(prev, u, rtol=1e-9, atol=1e-9)
 
 
 def test_large_errors_are_closed_no_faster_than_the_joints_brake():
