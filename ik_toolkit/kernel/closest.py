@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, inline
-from .checks import CONVERGED
+from .checks import CODE
 from .dispatch import problem_on
 from .limits import hold
 from .null_space import REFERENCE, add_inside, make_bounds
@@ -134,7 +134,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         for i in range(n):
             row[ANSWER + i] = best[i] * full.unit(i)
         if e.good:
-            row[AT.status] = CONVERGED
+            row[AT.status] = CODE.converged
     return value
 
 
@@ -158,7 +158,7 @@ def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
     for k in range(T.shape[0]):
         steps, left[k] = int(min(DOWN.evaluations, allowed - out[k, AT.evaluations])), np.inf
-        if steps >= 2 and out[k, AT.status] != CONVERGED:
+        if steps >= 2 and out[k, AT.status] != CODE.converged:
             before = out[k].copy()
             left[k] = descend_on_views(
                 view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)

@@ -39,7 +39,7 @@ import numpy as np
 from ..compile.array_view import cut
 from ..compile.jit import compiled, inline, spliced
 from .algebra import V3, at3, chord, put3, rotation_at
-from .checks import ORTHONORMAL, beyond, edge, rigid
+from .checks import RIGID, beyond, edge, rigid
 from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_column, shape
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
@@ -107,7 +107,7 @@ def take(T, ends, task, goal, orders):
 
     Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose.
     """
-    if not rigid(T, ORTHONORMAL):
+    if not rigid(T, RIGID.axes):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))

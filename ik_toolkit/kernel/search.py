@@ -19,19 +19,7 @@ from numba.extending import overload
 
 from ..compile.array_view import cut, fold, keep, view
 from ..compile.jit import INLINE, cached, compiled, inline, inner
-from .checks import (
-    BAD_START,
-    BAD_TARGET,
-    CONVERGED,
-    ITERATION_LIMIT,
-    LIMIT_BLOCKED,
-    NOT_FINITE,
-    SINGULAR,
-    STALLED,
-    TOO_FAR,
-    UNREACHABLE,
-    standstill,
-)
+from .checks import CODE, standstill
 from .dispatch import aim_at, evaluation, problem_on, shaped
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
@@ -117,13 +105,13 @@ def judge_evaluation(e, k, ceiling, patience, count, o):
     ceiling: squared error above which the attempt is given up; count: evaluations so far; o: the options of the solve.
     """
     if e.good:
-        return CONVERGED
+        return CODE.converged
     if not e.ee < END.overflow:
-        return NOT_FINITE
+        return CODE.not_finite
     if k >= patience.iterations or count >= o.evaluations:
-        return ITERATION_LIMIT
+        return CODE.iteration_limit
     if e.ee > ceiling and e.ee > END.rounding:
-        return STALLED
+        return CODE.stalled
     return GOING
 
 
@@ -170,7 +158,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
             copy(q, job.best)
             p.keep(e, BEST_OF_ALL)
         status = judge_evaluation(e, k, ceiling, patience, count, o)
-        if status != CONVERGED and moved <= END.rest and e.ee >= before and code != WAITING:
+        if status != CODE.converged and moved <= END.rest and e.ee >= before and code != WAITING:
             status = STILL
         if status != GOING:
             break
@@ -187,12 +175,12 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
                 break
         count = int(p.desk.spent[0])
         if code == SINGULAR_STEP or code == AT_MINIMUM:
-            status = SINGULAR if code == SINGULAR_STEP else CONVERGED
+            status = CODE.singular if code == SINGULAR_STEP else CODE.converged
             break
         steps += 1
         moved, far = integrate(q, dq, boxed, job.near)
         if not far < END.far_off:
-            status = NOT_FINITE
+            status = CODE.not_finite
             break
     return status, e, least, Spent(count, steps, noted)
 
@@ -222,12 +210,12 @@ def search(rule, p, job, needs_jacobian, excess):
             patience = Patience(o.iterations, np.inf, 1.0)
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries % attempts)
-        if place == BEST_OF_ALL and (least < before or status == CONVERGED):
+        if place == BEST_OF_ALL and (least < before or status == CODE.converged):
             found = tries % attempts
         tries += 1
-        if status == ITERATION_LIMIT:
+        if status == CODE.iteration_limit:
             cut_off += 1
-        if status == CONVERGED:
+        if status == CODE.converged:
             hits += 1
             d = distance(q, start, job.weights, job.box) if closest > 0 else 0.0
             if closest > 0 and d < shortest:
@@ -237,7 +225,7 @@ def search(rule, p, job, needs_jacobian, excess):
         if hits >= max(closest, 1) or tries >= most or spent.evaluations >= o.evaluations:
             break
     if hits > 0:
-        status = CONVERGED
+        status = CODE.converged
     return conclude(p, job, Attempts(status, tries, cut_off, found, place), spent, excess), place
 
 
@@ -248,11 +236,11 @@ def conclude(p, job, made, spent, excess):
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
     if excess > 0.0:
-        status = UNREACHABLE
-    elif status != CONVERGED and status != NOT_FINITE:
+        status = CODE.unreachable
+    elif status != CODE.converged and status != CODE.not_finite:
         judged = affordable and (o.attempts > 1.0 or following or status == STILL)
         if not affordable:
-            status = ITERATION_LIMIT
+            status = CODE.iteration_limit
     answer = job.best if made.slot == BEST_OF_ALL else job.closest
     copy(answer, q)
     turned = limits and not following and face(q, start, job.box)
@@ -261,7 +249,7 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CONVERGED and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
+        if status == CODE.converged and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -270,10 +258,10 @@ def conclude(p, job, made, spent, excess):
                 held = held_back(p, e, job.near, job.box, limits)
             why = standstill(p, e, job.near, limits or following)
             if held >= 0:
-                status = TOO_FAR
+                status = CODE.too_far
             elif o.attempts > 1.0:
-                unfinished = ITERATION_LIMIT if made.cut_off == made.tries else STALLED
-                status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else unfinished
+                unfinished = CODE.iteration_limit if made.cut_off == made.tries else CODE.stalled
+                status = CODE.limit_blocked if why == CODE.limit_blocked else unfinished
             elif status == STILL:
                 status = why
     position, rotation = p.left(made.slot)
@@ -348,10 +336,10 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         row, q0 = out[t * width : (t + 1) * width], Q0[t if Q0.shape[0] > 1 else 0]
         excess = aim_at(rule, p, T[t], o)
         if excess < 0.0:
-            row[0] = BAD_TARGET
+            row[0] = CODE.bad_target
             continue
         if from_q0 and not legal(q0, box, limits):
-            row[0] = BAD_START
+            row[0] = CODE.bad_start
             continue
         for i in range(n):
             start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)

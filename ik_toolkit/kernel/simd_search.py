@@ -19,7 +19,7 @@ from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
 from ..compile.simd import WIDTH, bits, full, lane_select
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
-from .checks import CONVERGED
+from .checks import CODE
 from .counted_error import POSITION
 from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
@@ -198,7 +198,9 @@ def write_answer(p, o, ends, s, lane, wanted, call):
         position, rotation = p.left(BEST_OF_ALL)
     tries, attempts = float(s.tries[lane]), min(o.attempts, float(ATTEMPTS))
     steps, restarts, found = s.spent[0, lane] - tries, min(tries, attempts) - 1.0, (tries - 1.0) % attempts
-    write(out[t], 0, Answer(float(CONVERGED), steps, restarts, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0))
+    write(
+        out[t], 0, Answer(float(CODE.converged), steps, restarts, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0)
+    )
     for i in range(n):
         out[t, ANSWER + i] = q[i] * ends.unit(i)
 

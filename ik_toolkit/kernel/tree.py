@@ -12,7 +12,7 @@ import numpy as np
 from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .checks import ORTHONORMAL, rigid
+from .checks import RIGID, rigid
 from .counted_error import (
     FREE,
     KEPT,
@@ -334,7 +334,7 @@ def aim_tips(p, T, orders):
     for f in range(p.tasks.shape[0]):
         other = p.other_of(f)
         if other >= 0:  # A target that moves with another tip cannot be proven out of reach.
-            if not rigid(T[f], ORTHONORMAL):
+            if not rigid(T[f], RIGID.axes):
                 return -1.0
             link_to(T[f], p.ends_of(f), p.ends_of(other), p.links[f])
             excess = 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED
+from ..kernel.checks import CODE
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
 from ..motion.reference import interpolate_poses
@@ -59,7 +59,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
             new = row[ANSWER : ANSWER + p.robot.n].copy()
             near = (np.abs(new - q) <= p.most * p.unit).all()
             free = search.collides is None or not search.collides(new)
-            return new if row[AT.status] == CONVERGED and near and free else None
+            return new if row[AT.status] == CODE.converged and near and free else None
 
         done, part = begin, 1.0 / PARTS
         for _ in range(HALVINGS):

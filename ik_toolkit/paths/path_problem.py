@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT
 from ..solvers.batch.parts import lanes_of
@@ -92,10 +92,10 @@ class Problem:
             side_by_side(*single.arrays(self.kinds, Q0), T, Q0, out, self.orders)
         else:
             single.run(T, self.kinds, Q0, True, out)
-        good = out[:, AT.status] == CONVERGED
+        good = out[:, AT.status] == CODE.converged
         if not good.any():
             single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
-            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == UNREACHABLE else 0.0
+            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
@@ -166,9 +166,9 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
     Q, good = np.empty((len(T), robot.n)), np.zeros(len(T), dtype=bool)
     for t in range(len(T)):
         row = single.solve(T[t : t + 1], kinds, q[None], True)
-        if row[AT.status] != CONVERGED:
+        if row[AT.status] != CODE.converged:
             row = plan.solve(T[t : t + 1], kinds, q[None], True)
-        Q[t], good[t] = row[ANSWER : ANSWER + robot.n], row[AT.status] == CONVERGED
+        Q[t], good[t] = row[ANSWER : ANSWER + robot.n], row[AT.status] == CODE.converged
         q = Q[t] if good[t] else q
     return Q, good
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from ..compile.jit import compile_time
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..kernel.checks import RIGID
 from ..motion.reference import Reference, exp
 from ..robot.constraints import first_open
-from ..robot.pose import FAR, LAST
+from ..robot.pose import LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
@@ -274,11 +275,11 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
 
 
 def _exact(T: np.ndarray) -> np.ndarray:
-    """Return which of the poses T (..., 4, 4) need no correction: rigid to rounding, and nearer than FAR."""
+    """Return which of the poses T (..., 4, 4) need no correction: rigid to rounding, and nearer than RIGID.far."""
     R = T[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):  # Poses that are not finite compare as not exact.
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-        there = np.abs(T[..., :3, 3]).max(axis=-1) < FAR
+        there = np.abs(T[..., :3, 3]).max(axis=-1) < RIGID.far
         return there & (off < EXACT) & (np.linalg.det(R) > 0.0) & (T[..., 3, :] == LAST).all(axis=-1)
 
 

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
 from ..solvers.options import COUNTING, Options
@@ -105,14 +105,14 @@ class Postures:
         rows = np.zeros((len(starts), plan.width))
         plan.run(T.reshape(-1, *self.robot.pose_shape), self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]
-        found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
+        found = rows[status == CODE.converged, ANSWER : ANSWER + n] / unit
         if not len(found):
-            return found, bool((status == UNREACHABLE).any())
+            return found, bool((status == CODE.unreachable).any())
         turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
         turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
         found = found + TAU * turns
         inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
-        return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
+        return np.clip(found[inside], limits[0], limits[1]), bool((status == CODE.unreachable).any())
 
     def size(self, E: np.ndarray) -> float:
         """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as length_scale."""

@@ -5,15 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import (
-    BAD_TARGET,
-    CONVERGED,
-    ITERATION_LIMIT,
-    LIMIT_BLOCKED,
-    SINGULAR,
-    STALLED,
-    UNREACHABLE,
-)
+from ..kernel.checks import CODE
 from ..kernel.records import ANSWER, AT, HEAD, ORDER, PAST
 from .options import PLAIN
 from .postprocess import finish_failures
@@ -65,9 +57,9 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             filled = len(T) * plan.width
             out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, PAST + robot.n)
         closed(rows, ends, seeds, feat, T, Q0, out, opt, hist)
-        if len(out) == 1 and out[0, AT.status] == CONVERGED:
+        if len(out) == 1 and out[0, AT.status] == CODE.converged:
             return
-        failed = np.flatnonzero((out[:, AT.status] != CONVERGED) & (out[:, AT.status] < BAD_TARGET))
+        failed = np.flatnonzero((out[:, AT.status] != CODE.converged) & (out[:, AT.status] < CODE.bad_target))
         if not len(failed):
             return
         usual, once, held = searches()
@@ -85,7 +77,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
             fixed = next(iter(held), -1)
             for k in failed[open_][still]:
-                if out[k, AT.status] != UNREACHABLE:
+                if out[k, AT.status] != CODE.unreachable:
                     into_tolerances(plan, rows, ends, T[k], opt, fixed, out[k])
 
     return loop
@@ -112,7 +104,12 @@ def into_tolerances(
     row[AT.evaluations] += evaluations
     if position < np.inf:
         row[ANSWER:] = q
-        row[AT.status], row[AT.position], row[AT.rotation], row[AT.excess] = CONVERGED, position, rotation, SEARCHED
+        row[AT.status], row[AT.position], row[AT.rotation], row[AT.excess] = (
+            CODE.converged,
+            position,
+            rotation,
+            SEARCHED,
+        )
 
 
 def continue_with(
@@ -136,8 +133,8 @@ def continue_with(
         if budget is not None:
             left = budget - int(out[rows[0], AT.evaluations])
             if left <= 0:
-                if out[rows[0], AT.status] == STALLED:
-                    out[rows[0], AT.status] = ITERATION_LIMIT
+                if out[rows[0], AT.status] == CODE.stalled:
+                    out[rows[0], AT.status] = CODE.iteration_limit
                 continue
             plan = search.varied(max_evaluations=left)
         found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
@@ -147,10 +144,10 @@ def continue_with(
         else:
             plan.run(T[some], how[0], starts, how[1], found)
         # The row may keep the status of the closed form, so q must be the closest configuration, however this search ended.
-        ended = (STALLED, LIMIT_BLOCKED, UNREACHABLE, ITERATION_LIMIT, SINGULAR)
+        ended = (CODE.stalled, CODE.limit_blocked, CODE.unreachable, CODE.iteration_limit, CODE.singular)
         finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)
-        still[some] = found[:, AT.status] != CONVERGED
+        still[some] = found[:, AT.status] != CODE.converged
     return still
 
 
@@ -158,14 +155,14 @@ def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float)
     """Write what the search found (len(failed), ANSWER + n) into the rows `failed` of out (N, ANSWER + n), see `with_search`."""
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
-    solved = found[:, AT.status] == CONVERGED
-    open_ = rows[:, AT.status] == STALLED
+    solved = found[:, AT.status] == CODE.converged
+    open_ = rows[:, AT.status] == CODE.stalled
     better = solved | (error_size(found, length) < error_size(rows, length))
     rows[better, ANSWER:] = found[better, ANSWER:]
     for place in (AT.position, AT.rotation, AT.attempt):
         rows[better, place] = found[better, place]
     taken = solved | open_
     rows[taken, AT.status] = found[taken, AT.status]
-    rows[taken, AT.excess] = np.where(found[:, AT.status] == UNREACHABLE, found[:, AT.excess], SEARCHED)[taken]
+    rows[taken, AT.excess] = np.where(found[:, AT.status] == CODE.unreachable, found[:, AT.excess], SEARCHED)[taken]
     rows[:, COUNTS] = counts
     out[failed] = rows

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.checks import CONVERGED
+from ..kernel.checks import CODE
 from ..kernel.records import ANSWER, AT
 from ..robot.geometry.collision import CollisionModel
 from .options import AVOID, PLAIN, avoided
@@ -52,7 +52,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
 
     def step(outcome: Any) -> Any:
-        if outcome.row[AT.status] != CONVERGED:
+        if outcome.row[AT.status] != CODE.converged:
             return outcome
         n = plan.robot.n
         if model.collides(outcome.row[ANSWER : ANSWER + n]):
@@ -97,7 +97,7 @@ def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
         row[AT.iterations] += out[:, AT.iterations].sum()
         row[AT.evaluations] += out[:, AT.evaluations].sum()
         row[AT.restarts] += len(out)
-        out = out[out[:, AT.status] == CONVERGED]
+        out = out[out[:, AT.status] == CODE.converged]
         away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
             if not model.collides(out[k, q]):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.records import ANSWER, AT, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
@@ -23,7 +23,7 @@ from .task import POSE, counted_errors, group_levels
 Step = Callable[[Any], Any]
 FEW = 20  # number of attempts, without limits and with them, that test whether limits keep the arm from a target
 # statuses of failures whose q is moved to the closest configuration nearby
-ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)
+ENDED = (CODE.stalled, CODE.limit_blocked, CODE.unreachable)
 
 
 class Limits(NamedTuple):
@@ -92,18 +92,18 @@ def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bo
     target.
     """
     for k, row in enumerate(rows):
-        if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
+        if row[AT.status] == CODE.limit_blocked and plan.options.limits and row[AT.excess] != DECIDED:
             asked = T[k : k + 1], kinds, start[k : k + 1], given
-            blocked = plan.unlimited.solve(*asked)[AT.status] == CONVERGED
+            blocked = plan.unlimited.solve(*asked)[AT.status] == CODE.converged
             few = row[AT.restarts] + 1 < FEW  # A search of at least FEW attempts has made these attempts already.
-            if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CONVERGED):
-                row[AT.status] = STALLED
+            if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CODE.converged):
+                row[AT.status] = CODE.stalled
     if plan.descends:
         _descend(plan, T, kinds, start, given, rows)
     for row in rows:
-        if row[AT.status] == LIMIT_BLOCKED and row[AT.excess] != DECIDED and plan.descends:
+        if row[AT.status] == CODE.limit_blocked and row[AT.excess] != DECIDED and plan.descends:
             if not plan.robot.at_limits(row[ANSWER : ANSWER + plan.robot.n]):
-                row[AT.status] = STALLED
+                row[AT.status] = CODE.stalled
 
 
 def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
@@ -124,11 +124,11 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
     if o.length_scale is None or len(plan.held):
         return
     for q in (start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)):
-        made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CONVERGED
+        made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CODE.converged
         made[:, ANSWER : ANSWER + robot.n] = q
         lower(made, left)
         rows[:, AT.evaluations] = made[:, AT.evaluations]
-        better = before & ((left < least) | (made[:, AT.status] == CONVERGED))
+        better = before & ((left < least) | (made[:, AT.status] == CODE.converged))
         least[better], rows[better] = left[better], made[better]
 
 
@@ -149,7 +149,7 @@ def extend(outcome: Any) -> Any:
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
-    while row[AT.status] != CONVERGED and row[AT.evaluations] >= made:
+    while row[AT.status] != CODE.converged and row[AT.evaluations] >= made:
         allowed = int(min(MOST.growth * made, (left - perf_counter() + began) / pace))
         if allowed <= made:
             break
@@ -185,7 +185,7 @@ def improve(outcome: Any) -> Any:
     from ..kernel.null_space import refine
 
     plan, row = outcome.plan, outcome.row
-    if row[AT.status] != CONVERGED:
+    if row[AT.status] != CODE.converged:
         return outcome
     row, what = row.copy(), OBJECTIVES[plan.options.objective]
     orders = plan.orders(outcome.kinds, outcome.given)
@@ -199,7 +199,7 @@ def confirm(outcome: Any) -> Any:
     n = plan.robot.n
     errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
     outcome = outcome._replace(errors=errors)
-    if outcome.row[AT.status] != CONVERGED or inside(errors, plan):
+    if outcome.row[AT.status] != CODE.converged or inside(errors, plan):
         return outcome
     if kinds == (POSE,):
         # A target rotation that is orthonormal only to 1e-6 is replaced by the nearest exact one before the angle is measured.
@@ -211,7 +211,7 @@ def confirm(outcome: Any) -> Any:
                 again = step(again)
             return again
     row = outcome.row.copy()
-    row[AT.status] = CHECK_FAILED
+    row[AT.status] = CODE.check_failed
     return outcome._replace(row=row)
 
 
@@ -224,7 +224,7 @@ def keep_constraints(outcome: Any) -> Any:
 def mark_open(plan: Any, rows: np.ndarray) -> None:
     """Set the status CONSTRAINT_OPEN in converged rows (m, width) whose q breaks a constraint of the robot's description."""
     if plan.robot.constraints:
-        for k in np.flatnonzero(rows[:, AT.status] == CONVERGED):
+        for k in np.flatnonzero(rows[:, AT.status] == CODE.converged):
             if not constraints_of(plan.robot, rows[k, ANSWER : ANSWER + plan.robot.n], plan.options).holds:
                 rows[k, AT.status] = Status.CONSTRAINT_OPEN
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..compile.jit import compile_time
 from ..copying import ReadOnly
 from ..errors import InvalidOption
-from ..kernel.checks import BAD_TARGET, CONVERGED
+from ..kernel.checks import CODE
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..robot.narrow import with_limits
@@ -133,8 +133,8 @@ class Solver(ReadOnly):
         row = plan.solve(T, kinds, start, given)
         # The compiled search rejected the input, which is now corrected, or refused with a message.
         status = row[AT.status]
-        if status >= BAD_TARGET:
-            if status == BAD_TARGET:
+        if status >= CODE.bad_target:
+            if status == CODE.bad_target:
                 T, kinds, notice = read_target(self.robot, target)
             if given:
                 start, note = plan.check_start(q0)
@@ -146,11 +146,11 @@ class Solver(ReadOnly):
         if elapsed > 1e-3:  # [s] only calls that compile, or load compiled code, take longer than this
             elapsed -= (waited := compile_time(started))
         outcome = make_outcome((plan, T.tobytes(), kinds, asked, row, elapsed, notice, None, None, None, waited))
-        if status != CONVERGED:
+        if status != CODE.converged:
             outcome = finish_failure(outcome)
         for step in plan.steps:
             outcome = step(outcome)
-        if plan.steps or status != CONVERGED:
+        if plan.steps or status != CODE.converged:
             waited = compile_time(started)
             outcome = outcome._replace(elapsed=perf_counter() - started - waited, compile_time=waited)
         return Result(outcome)

@@ -11,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ...errors import InvalidConfiguration, InvalidOption, check_progress, floats, whole
-from ...kernel.checks import CHECK_FAILED
+from ...kernel.checks import CODE
 from ...kernel.counted_error import POSE
 from ...kernel.records import ANSWER, AT
 from ...robot.robot import Robot
@@ -118,9 +118,9 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan, notice: str) -> Iterator[
     with closing(tables):
         for table, failures in tables:
             part = BatchResult(table, kinds, plan, failures, notice)
-            failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
+            failed = np.flatnonzero(table[:, AT.status] == CODE.check_failed)
             if len(failed):
-                table[:, AT.status] = CHECK_FAILED
+                table[:, AT.status] = CODE.check_failed
                 raise BatchCheckFailed(part, done + int(failed[0]), done)
             done += len(table)
             yield part
@@ -229,7 +229,7 @@ def solve_batch(
         table[done:end] = part.table[: end - done]
         table[end:] = 0.0
         table[end:, [AT.position, AT.rotation, *range(ANSWER, table.shape[1])]] = np.nan
-        table[:, AT.status] = CHECK_FAILED
+        table[:, AT.status] = CODE.check_failed
         raise BatchCheckFailed(part.of(table), failure.target, 0) from None
     if part is None:
         solver = Solver(robot, solver, **options)

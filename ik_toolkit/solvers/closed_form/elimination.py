@@ -12,7 +12,7 @@ import numpy as np
 
 from ...compile.jit import cached
 from ...kernel.chain import Chain
-from ...kernel.checks import ORTHONORMAL, is_rigid, rigid
+from ...kernel.checks import RIGID, is_rigid, rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import CERTAIN, SIZES
 from ..protocol import closed_form
@@ -154,7 +154,7 @@ def list_certain(rows, ends, opt, T, found, box, most, table, counts):
     at = 0
     for t in range(T.shape[0]):
         counts[t, 0], counts[t, 1] = at, -1
-        if found[t, 0, 1] != CERTAIN or not rigid(T[t], ORTHONORMAL):
+        if found[t, 0, 1] != CERTAIN or not rigid(T[t], RIGID.axes):
             continue
         Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
         q, broken, signs = np.empty(Q.shape), np.empty(Q.shape[0]), np.zeros((Q.shape[0], 3), dtype=np.int8)

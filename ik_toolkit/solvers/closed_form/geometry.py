@@ -12,7 +12,7 @@ import numpy as np
 from ...compile.jit import inline, shared
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
-from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from ...kernel.checks import CODE
 from ...kernel.counted_error import POSITION
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
@@ -175,13 +175,13 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
     position = math.sqrt(linear.square()) * chain.scale()
     rotation = 0.0 if int(opt[HEAD]) == POSITION else rotation_angle(angular.square())
     if position < o.tol_p and rotation < o.tol_r:
-        status = CONVERGED
+        status = CODE.converged
     elif gap >= o.tol_p + slack:
-        status = UNREACHABLE
+        status = CODE.unreachable
     elif broken > 0.0 and gap < o.tol_p:
-        status = LIMIT_BLOCKED
+        status = CODE.limit_blocked
     else:
-        status = STALLED  # A stall proves nothing about the target.
+        status = CODE.stalled  # A stall proves nothing about the target.
     noted = 0.0
     if hist.shape[0] > 0:
         noted = 1.0
@@ -190,5 +190,5 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
         hist[0, 2] = 0.0
         for i in range(n):
             hist[0, PAST + i] = out[ANSWER + i]
-    excess = gap if status == UNREACHABLE else 0.0
+    excess = gap if status == CODE.unreachable else 0.0
     write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0, 0.0))

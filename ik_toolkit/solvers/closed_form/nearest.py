@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.jit import cached
-from ...kernel.checks import BAD_START, BAD_TARGET, is_rigid
+from ...kernel.checks import CODE, is_rigid
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
@@ -31,7 +31,7 @@ def nearest_of(form: Any, robot: Any) -> Callable:
         for t in range(len(T)):
             q0 = Q0[t if len(Q0) > 1 else 0]
             if not is_rigid(T[t]):
-                out[t, AT.status] = BAD_TARGET
+                out[t, AT.status] = CODE.bad_target
                 continue
             near = q0 if opt[ORDER.given] else robot.home
             made = form.every(robot, numbers, T[t], np.vstack([lower, upper, near, weights]), SAMPLE)
@@ -49,7 +49,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):
-        out[0] = BAD_START
+        out[0] = CODE.bad_start
         return
     box = np.empty((4, n))
     copy_limits(ends, opt, q0, box)

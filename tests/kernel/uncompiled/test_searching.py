@@ -8,7 +8,7 @@ import random_arms as arms
 
 from ik_toolkit.kernel import search
 from ik_toolkit.kernel import starts as tree_starts
-from ik_toolkit.kernel.checks import CONVERGED
+from ik_toolkit.kernel.checks import CODE
 from ik_toolkit.kernel.counted_error import FREE, POSE
 from ik_toolkit.kernel.packed_model import join
 from ik_toolkit.kernel.records import ANSWER, AT, Orders, Task
@@ -49,7 +49,7 @@ def test_the_closest_of_several_answers():
     closest, _ = found(T[:1], chain, BASIC._replace(closest=3.0), near[:1])
     alone, _ = found(T[:1], chain, BASIC)
     gap = [np.abs(o[0, ANSWER:] - near[0]).max() for o in (closest, alone)]
-    assert closest[0, AT.status] == CONVERGED and gap[0] <= gap[1] + 1e-9
+    assert closest[0, AT.status] == CODE.converged and gap[0] <= gap[1] + 1e-9
     assert closest[0, AT.restarts] > alone[0, AT.restarts] and closest[0, AT.attempt] <= closest[0, AT.restarts]
     np.testing.assert_allclose(arms.fk(rows, base, tip, closest[0, ANSWER:])[0], T[0], atol=3e-8)
 
