@@ -28,6 +28,9 @@ class StatusCodes(NamedTuple):
     bad_target: int = 8
     bad_start: int = 9
     too_far: int = 11
+    # An attempt without a status yet either continues or no longer moves any joint; `search.conclude` finds out why.
+    going: int = -1
+    still: int = -2
 
 
 class PoseThresholds(NamedTuple):

@@ -24,15 +24,13 @@ from .dispatch import aim_at, evaluation, problem_on, shaped
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
-from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .records import SIZE, Answer, Array, Ends, Orders, copy, read, write
 from .starts import BEST, FEATURES, StartTable, make_table, seed_sequence
 from .vectors import clear
 
 # A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
 # ends an attempt with success: q is a first-order minimum (see levels.py).
 SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
-# An attempt without a status yet either continues (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
-GOING, STILL = -1, -2
 
 
 class GiveUpRules(NamedTuple):
@@ -66,7 +64,7 @@ class SearchInput(NamedTuple):
     table: StartTable
     best: Array  # (n,) the configuration of the least error so far
     closest: Array  # (n,) the solution nearest the start so far
-    history: Array  # (H, PAST + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
+    history: Array  # (H, SIZE.past + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
 
 
 @compiled
@@ -100,7 +98,7 @@ class Attempts(NamedTuple):
 
 @inline
 def judge_evaluation(e, k, ceiling, patience, count, o):
-    """Return the final status of an attempt after evaluation e in its iteration k, or GOING if it continues.
+    """Return the final status of an attempt after evaluation e in its iteration k, or CODE.going if it continues.
 
     ceiling: squared error above which the attempt is given up; count: evaluations so far; o: the options of the solve.
     """
@@ -112,7 +110,7 @@ def judge_evaluation(e, k, ceiling, patience, count, o):
         return CODE.iteration_limit
     if e.ee > ceiling and e.ee > END.rounding:
         return CODE.stalled
-    return GOING
+    return CODE.going
 
 
 @inner
@@ -122,7 +120,7 @@ def note(p, e, ends, history, row, attempt):
     history[row, 0], history[row, 1] = p.left(NOW)
     history[row, 2] = attempt
     for i in range(p.desk.q.shape[0]):
-        history[row, PAST + i] = p.desk.q[i] * ends.unit(i)
+        history[row, SIZE.past + i] = p.desk.q[i] * ends.unit(i)
 
 
 @inline
@@ -159,8 +157,8 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
             p.keep(e, BEST_OF_ALL)
         status = judge_evaluation(e, k, ceiling, patience, count, o)
         if status != CODE.converged and moved <= END.rest and e.ee >= before and code != WAITING:
-            status = STILL
-        if status != GOING:
+            status = CODE.still
+        if status != CODE.going:
             break
         before = e.ee
         if needs_jacobian:
@@ -238,7 +236,7 @@ def conclude(p, job, made, spent, excess):
     if excess > 0.0:
         status = CODE.unreachable
     elif status != CODE.converged and status != CODE.not_finite:
-        judged = affordable and (o.attempts > 1.0 or following or status == STILL)
+        judged = affordable and (o.attempts > 1.0 or following or status == CODE.still)
         if not affordable:
             status = CODE.iteration_limit
     answer = job.best if made.slot == BEST_OF_ALL else job.closest
@@ -262,7 +260,7 @@ def conclude(p, job, made, spent, excess):
             elif o.attempts > 1.0:
                 unfinished = CODE.iteration_limit if made.cut_off == made.tries else CODE.stalled
                 status = CODE.limit_blocked if why == CODE.limit_blocked else unfinished
-            elif status == STILL:
+            elif status == CODE.still:
                 status = why
     position, rotation = p.left(made.slot)
     return Answer(
@@ -315,9 +313,9 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
     tips = features.shape[0] // FEATURES
-    width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
-    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (PAST + n), PAST + n)
-    first = HEAD + TASK * tips
+    width = SIZE.answer + n + (SIZE.miss * tips if len(T.shape) == 4 else 0)
+    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (SIZE.past + n), SIZE.past + n)
+    first = SIZE.orders + SIZE.task * tips
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
@@ -325,7 +323,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     if following:
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
-    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
+    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[SIZE.orders : first], n, o)
     box, near = Ends(ends, n), Ends(near_ends, n)  # Both read the first tip's limits; all tips have the same limits.
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
@@ -349,7 +347,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         answer, place = seek(rule, p, job, needs_jacobian, excess)
         write(row, 0, answer)
         for i in range(n):
-            row[ANSWER + i] = p.desk.q[i] * box.unit(i)
+            row[SIZE.answer + i] = p.desk.q[i] * box.unit(i)
         p.report(place, row)
 
 
@@ -368,8 +366,8 @@ def entry(cls: type) -> Callable:
     - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
     - Q0: starts (1 or N, n) [rad or m], used if the orders say so; an answer's joints are shifted by 2 pi k to be nearest its
       start;
-    - out: receives N rows, each of ANSWER + n numbers (for several tips MISS F more). Its rest receives the history: for each
-      evaluation PAST + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
+    - out: receives N rows, each of SIZE.answer + n numbers (for several tips SIZE.miss F more). Its rest receives the history: for
+      each evaluation SIZE.past + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
     - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the solver rule.
     """
     step = step_class(cls)

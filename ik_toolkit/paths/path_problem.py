@@ -6,7 +6,7 @@ import numpy as np
 
 from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT
+from ..kernel.records import AT, SIZE
 from ..solvers.batch.parts import lanes_of
 from ..solvers.enumerate import ONE_ATTEMPT, search_solutions
 from ..solvers.plan import Plan
@@ -96,7 +96,7 @@ class Problem:
         if not good.any():
             single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
             return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
-        return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
+        return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
         """Return Q (m, n) [internal units] with each joint that may wrap shifted by 2 pi k to be nearest its mid-range."""
@@ -168,7 +168,7 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
         row = single.solve(T[t : t + 1], kinds, q[None], True)
         if row[AT.status] != CODE.converged:
             row = plan.solve(T[t : t + 1], kinds, q[None], True)
-        Q[t], good[t] = row[ANSWER : ANSWER + robot.n], row[AT.status] == CODE.converged
+        Q[t], good[t] = row[SIZE.answer : SIZE.answer + robot.n], row[AT.status] == CODE.converged
         q = Q[t] if good[t] else q
     return Q, good
 

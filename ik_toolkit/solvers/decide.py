@@ -15,8 +15,8 @@ import numpy as np
 from ..compile.jit import cached, inline
 from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
-from ..kernel.elimination.terms import CERTAIN
-from ..kernel.records import ANSWER, AT, WEIGHTS, copy
+from ..kernel.elimination.terms import VERDICT
+from ..kernel.records import AT, SIZE, copy
 from .closed_form.elimination import STEPS, N, forms_of, into_limits, solutions_of
 from .closed_form.nearest import choose
 from .options import Options
@@ -121,7 +121,7 @@ def _take(made, row):
     row[AT.status], row[AT.excess] = made[AT.status], DECIDED
     row[AT.position], row[AT.rotation] = made[AT.position], made[AT.rotation]
     for i in range(N):
-        row[ANSWER + i] = made[ANSWER + i]
+        row[SIZE.answer + i] = made[SIZE.answer + i]
 
 
 @cached
@@ -153,7 +153,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         row, start = out[t], Q0[t]
         copy(start, bounds[2])
         count, near = int(found[t, 0, 0]), int(found[t, 0, 7])
-        certain = found[t, 0, 1] == CERTAIN and near >= 0
+        certain = found[t, 0, 1] == VERDICT.certain and near >= 0
         Q = found[t, 1 : 1 + count + max(near, 0), :N].copy()
         excess = np.empty_like(Q)
         into_limits(Q.copy(), bounds, Q, excess)
@@ -168,7 +168,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             if k < count and worst == 0.0:
                 least = min(least, _apart(Q[k], start))
         if row[AT.status] == CODE.converged:
-            copy(row[ANSWER : ANSWER + N], legal[kept])
+            copy(row[SIZE.answer : SIZE.answer + N], legal[kept])
             kept += 1
         made = row.copy()
         if kept:
@@ -176,7 +176,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             row[AT.evaluations] += made[AT.evaluations]
             if made[0] == CODE.converged:
                 _take(made, row)
-                if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
+                if same > 0.0 and certain and told and _apart(row[SIZE.answer :], start) <= least + same:
                     row[AT.excess] = NEAREST
                 continue
             certain = certain and not _beside(made, terms)
@@ -203,7 +203,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Return the first arguments of `binding.answers`: the orderings of the loop, and the array (52,) that describes the arm."""
-    p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
+    p = exact.orders(POSES, True)[SIZE.weights + N :].copy()
     return forms_of(p.tobytes()), p
 
 
@@ -269,7 +269,7 @@ class Deciding(Plan):
         (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CODE.converged)))
         rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
         self.run(T[still], kinds, starts, given, rest)
-        far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts, axis=1) for rows in (rest, made[still])]
+        far = [np.linalg.norm(rows[:, SIZE.answer : SIZE.answer + N] - starts, axis=1) for rows in (rest, made[still])]
         taken = (made[still, AT.status] != CODE.converged) | (rest[:, AT.status] == CODE.converged) & (far[0] < far[1])
         made[still[taken]] = rest[taken]
 
@@ -303,7 +303,7 @@ class Deciding(Plan):
 
     def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
-        said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
+        said = solutions_of(self.exact.orders(POSES, True)[SIZE.weights + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)
         return ListedSolutions(q, excess, said.certificate)

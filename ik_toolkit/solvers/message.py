@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import FAR_AWAY
-from ..kernel.counted_error import FREE, POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT
+from ..kernel.records import AT, SIZE
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, length
 from .decide import blocked
@@ -159,7 +159,7 @@ def _outside(result: Any) -> str:
     if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
         return ""
     row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
-    q = row[ANSWER : ANSWER + robot.n]
+    q = row[SIZE.answer : SIZE.answer + robot.n]
     turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
     q = q - TAU * turns
     over = np.maximum(robot.lower - q, q - robot.upper)
@@ -224,7 +224,7 @@ def _at_each_tip(result: Any) -> str:
     left = [
         f"{tip} {_said(*errors, unit).replace(',', '')}"
         for tip, kind, errors in zip(result.robot.tips, result._of.kinds, each, strict=True)
-        if kind != FREE
+        if kind != KIND.free
     ]
     return f"; remaining error at each tip: {', '.join(left)}"
 
@@ -287,9 +287,9 @@ def impossible(result: Any) -> list[str]:
     for arm, kind, T, counts in given:
         free = kind[1] if isinstance(kind, tuple) else counts.free_turn
         first = {group for tip, group in o.priority[0] if tip in ("", arm.tip)} if o.priority else set(GROUPS)
-        if kind == FREE or o.relative_to or counts.mask is not None or not first:
+        if kind == KIND.free or o.relative_to or counts.mask is not None or not first:
             continue
-        target = T[:3, 3] if kind == POSITION or GROUPS[1] not in first else T
+        target = T[:3, 3] if kind == KIND.position or GROUPS[1] not in first else T
         allowed = np.linalg.norm(np.reshape(counts.slack or (0.0,) * 6, (2, 3)), axis=1)
         position = o.position_tolerance + allowed[0] if GROUPS[0] in first else np.inf
         at = f"{arm.tip}: " if len(of.kinds) > 1 else ""
@@ -321,15 +321,15 @@ def position_alone(result: Any, turned: bool) -> str:
     turned: whether another sentence already tells the orientation error, which is then left out.
     """
     of = result._of
-    if of.kinds != (POSE,) or not of.T.size or of.plan.options.in_part:
+    if of.kinds != (KIND.pose,) or not of.T.size or of.plan.options.in_part:
         return ""
     plan = of.plan.search(
         mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, max_evaluations=None, timeout=None, follow=0.0,
         closest=False, objective=None, history=False, avoid_collisions=False,
     )  # fmt: skip
-    q = of.row[ANSWER : ANSWER + result.robot.n]
+    q = of.row[SIZE.answer : SIZE.answer + result.robot.n]
     row = plan.solve(of.T, of.kinds, q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[ANSWER : ANSWER + len(q)], of.T, of.kinds, plan.options)
+    ((raw, _, _),) = all_errors(result.robot, row[SIZE.answer : SIZE.answer + len(q)], of.T, of.kinds, plan.options)
     if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
         return ""
     if turned:

@@ -16,7 +16,7 @@ from ..compile.jit import compile_time
 from ..copying import ReadOnly
 from ..errors import InvalidOption
 from ..kernel.checks import CODE
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.records import AT
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
@@ -74,7 +74,7 @@ class Solver(ReadOnly):
             solver, auto = owner, False
         self._plans: dict[tuple, Plan] = {}  # plans for the kinds of target that self.plan does not serve
         if auto:
-            chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
+            chosen = {kind: automatic(robot, kind, options) for kind in (KIND.pose, KIND.position)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
         self.plan = make_plan(robot, search_for(options.get("priority")) if auto else solver, options)
         if auto and POSES not in self._plans and (decides := deciding(self.plan)):
@@ -242,7 +242,7 @@ def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None
-    fitting = (name for kind in (POSE, POSITION) if (name := fits(robot, kind)))
+    fitting = (name for kind in (KIND.pose, KIND.position) if (name := fits(robot, kind)))
     return next((name for name in fitting if names & set(find_row(name).load()._fields)), None)
 
 

@@ -14,7 +14,7 @@ from numba import config
 
 from ...errors import InvalidOption
 from ...kernel.checks import CODE
-from ...kernel.records import ANSWER, AT
+from ...kernel.records import AT, SIZE
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
 from ..plan import Plan
@@ -110,7 +110,7 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
     n = plan.robot.n
     for k in _sampled(part.first, len(out), share):
         if out[k, AT.status] == CODE.converged:
-            if not confirmed(plan, out[k, ANSWER : ANSWER + n], part.T[k], part.kinds):
+            if not confirmed(plan, out[k, SIZE.answer : SIZE.answer + n], part.T[k], part.kinds):
                 out[k, AT.status] = CODE.check_failed
 
 

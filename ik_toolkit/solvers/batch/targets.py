@@ -7,11 +7,11 @@ import numpy as np
 
 from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.checks import RIGID
-from ...kernel.counted_error import FREE, POSE, POSITION
+from ...kernel.counted_error import KIND
 from ...robot.pose import AxisTarget, as_array, check_target
 from ...robot.ros import is_by_name, listed_poses, read_pose
 
-SHAPES = {(4, 4): POSE, (3,): POSITION}
+SHAPES = {(4, 4): KIND.pose, (3,): KIND.position}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
 ROUGH = 1e-12  # A rotation whose axes are off orthonormal by this to `RIGID.axes` is replaced by the nearest exact one.
 
@@ -25,7 +25,7 @@ class Block(NamedTuple):
     @property
     def kinds(self) -> tuple:
         """The kind of target of each tip."""
-        return tuple(FREE if part is None else SHAPES[part.shape[1:]] for part in self.parts)
+        return tuple(KIND.free if part is None else SHAPES[part.shape[1:]] for part in self.parts)
 
     @property
     def rows(self) -> int:
@@ -229,10 +229,10 @@ def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> n
     """
     good = T.copy().reshape(-1, 4, 4)
     for tip, kind, one in zip(tips, kinds, good, strict=True):
-        if kind == FREE:
+        if kind == KIND.free:
             continue
         try:
-            if kind == POSITION:
+            if kind == KIND.position:
                 check_target(one[:3, 3])
             else:
                 one[:] = check_target(one)[0]

@@ -17,7 +17,7 @@ from ...errors import InvalidOption
 from ...kernel.chain import Chain
 from ...kernel.checks import CODE, RIGID, rigid
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import Asked, closed_form, fitted
 from .geometry import (
@@ -131,7 +131,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     `protocol.ClosedForm.loop` describes the arguments.
     """
     n = seeds.shape[1]
-    p = opt[WEIGHTS + n :]
+    p = opt[SIZE.weights + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
     P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
     tries, best = np.empty((2, n)), np.empty(n)

@@ -9,7 +9,7 @@ from ...compile.jit import cached
 from ...kernel.checks import CODE, is_rigid
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
@@ -24,8 +24,8 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
         n = robot.n
-        numbers, unit = opt[WEIGHTS + n :], robot.chain.unit
-        weights = 1.0 / (np.maximum(opt[WEIGHTS : WEIGHTS + n], LIGHTEST) * unit**2)
+        numbers, unit = opt[SIZE.weights + n :], robot.chain.unit
+        weights = 1.0 / (np.maximum(opt[SIZE.weights : SIZE.weights + n], LIGHTEST) * unit**2)
         free = np.full(n, np.inf)
         lower, upper = (robot.lower, robot.upper) if opt[ORDER.limits] else (-free, free)
         for t in range(len(T)):

@@ -10,7 +10,7 @@ from ...compile.jit import cached, inner
 from ...kernel.chain import Chain
 from ...kernel.checks import CODE, RIGID, rigid
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import closed_form
 from .geometry import (
@@ -105,7 +105,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     `protocol.ClosedForm.loop` describes the arguments.
     """
     n = 2
-    p = opt[WEIGHTS + n :]
+    p = opt[SIZE.weights + n :]
     box = np.empty((4, n))
     near = p[ANGLES + 1]
     sols = np.empty((2, 2))

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import laws, loop
-from ik_toolkit.servo.constrained_step import Allowed
-from ik_toolkit.servo.laws import AT_RATE, AT_RATE_AND_STEP, AT_STEP, CLIP, LAW, STATE, Law
+from ik_toolkit.servo.constrained_step import MODE, Allowed
+from ik_toolkit.servo.laws import LAW, READING, Law
 from ik_toolkit.servo.viability import approach
+from ik_toolkit.servo.workspace import STATE
 
 
 def law(code=LAW.cv, **values):
@@ -74,7 +75,7 @@ def test_damping_fades_in_near_singular_poses():
 def test_the_published_laws(code, ratio):
     rng = np.random.default_rng(code)
     n, m, h = 7, 6, 0.02
-    for reading in (AT_RATE, AT_RATE_AND_STEP, AT_STEP):
+    for reading in (READING.at_rate, READING.at_rate_and_step, READING.at_step):
         p = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=reading, omit=0.3)
         J, e, v, a, bias, ahead = rng.normal(size=(n, m)), *rng.normal(size=(5, m))
         rate, prev, old = *rng.normal(size=(2, n)), np.empty(n)
@@ -93,10 +94,10 @@ def test_the_published_laws(code, ratio):
         if code >= LAW.ca:
             expected = step / h + own
             first, second = {
-                AT_RATE: (rate, rate),
-                AT_RATE_AND_STEP: (rate, expected),
-                AT_STEP: (expected, expected),
-            }[reading if code == LAW.aa else AT_RATE]
+                READING.at_rate: (rate, rate),
+                READING.at_rate_and_step: (rate, expected),
+                READING.at_step: (expected, expected),
+            }[reading if code == LAW.aa else READING.at_rate]
             np.testing.assert_allclose(x1, first, atol=1e-9)
             np.testing.assert_allclose(x2, second, atol=1e-9)
         laws.command(p, inverse, aim, rate, prev, h, ratio, joints)
@@ -207,9 +208,10 @@ def test_what_was_held_back_becomes_the_earlier_command():
 
 def test_rates_that_cannot_be_followed():
     for mode, runaway, brake, wanted, h, stop in (
-        (CLIP, 1.0, 0.0, [0.5, -0.5], 1.0, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.3, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.4, 2),
+        (MODE.clip, 1.0, 0.0, [0.5, -0.5], 1.0, 0), (MODE.clip, 1.0, 0.0, [3.0, -3.0], 0.3, 0),
+        (MODE.clip, 1.0, 0.0, [3.0, -3.0], 0.4, 2),
         (0, 1.0, 0.0, [3.0, -3.0], 0.4, 0), (0, 1.0, 0.0, [np.nan, 1.0], 0.1, 1), (0, np.inf, 0.0, [np.nan, 1.0], 0.1, -1),
-        (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
+        (MODE.clip, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
     ):  # fmt: skip
         x, state = np.array(wanted), np.zeros(len(STATE))
         ended, still = loop.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
