@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InvalidOption, NotSolved, UnknownSolver
-from .kernel.counted_error import POSE
+from .kernel.counted_error import KIND
 from .robot.robot import Robot
 from .robot.tree import Tree
 from .solvers.batch.solve_batch import solve_batch
@@ -74,7 +74,7 @@ def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]
     """Yield a case for every robot and kind of target; arms that cannot orient their tip freely get positions only."""
     for robot in robots:
         for kind in KINDS:
-            free = all(Asked(arm, (POSE,)).rows == 6 for arm in robot.arms)
+            free = all(Asked(arm, (KIND.pose,)).rows == 6 for arm in robot.arms)
             if kind == "position" or free:
                 yield Case(solver, robot, kind, seed)
 

@@ -6,7 +6,7 @@ from numba import config
 from ik_toolkit.compile.array_view import keep, view
 from ik_toolkit.compile.jit import cached
 from ik_toolkit.servo import constrained_step as rooms
-from ik_toolkit.servo.constrained_step import LEAVE, Allowed, StepTaken, TaskRate, constrain
+from ik_toolkit.servo.constrained_step import MODE, Allowed, StepTaken, TaskRate, constrain
 
 
 def many(count):
@@ -31,7 +31,7 @@ class Step:
     """A problem, and what holds from one solution to the next."""
 
     def __init__(
-        self, J, low, high, rows=None, mode=LEAVE, weight=None, scale=None, step=0.0, mu=0.0,
+        self, J, low, high, rows=None, mode=MODE.leave, weight=None, scale=None, step=0.0, mu=0.0,
     ):  # fmt: skip
         n, m = J.shape
         self.J, self.low, self.high, self.mode = J, low, high, mode

@@ -3,7 +3,7 @@
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.counted_error import POSE
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.paths.continuity import check, densify
 from ik_toolkit.paths.result import PathResult, PathStatus, Reconfiguration
 from ik_toolkit.solvers.options import make_options
@@ -24,7 +24,7 @@ def tips(robot, q):
     )
 
 
-def as_result(robot, q, breaks=(), collision=None, kind=POSE, **options):
+def as_result(robot, q, breaks=(), collision=None, kind=KIND.pose, **options):
     """PathResult of the motion q (N, n) itself: its poses are those it passes."""
     plan, kinds, T = plan_for(robot, **options), (kind,) * len(robot.tips), tips(robot, q)
     step, tolerance = (np.radians(7.0), 0.02), (1e-3, np.radians(1.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from ik_toolkit.kernel.chain import pack
-from ik_toolkit.kernel.counted_error import BASE, POSE, TARGET, TIP
+from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import WHAT, Orders, Task
 
 KINDS = "tttstt"  # turning, sliding; "m" a turning follower of joint 0, "n" a sliding one, "o" of a slide
@@ -95,7 +95,7 @@ def orders(**values):
     return Orders(**{**dict.fromkeys(Orders._fields, 0.0), "tol_p": 1e-6, "tol_r": 1e-6, "limits": 1.0, **values})
 
 
-def task(kind=POSE, **values):
+def task(kind=KIND.pose, **values):
     return np.array(Task(float(kind), **values))
 
 
@@ -114,7 +114,7 @@ def errors(rows, base, tip, q, T, t, scale):
     if t[WHAT.free] > 0.0:
         axis = tip[:3, :3].T @ t[WHAT.ax : WHAT.az + 1]  # in the tip's axes
         r = turn_about(now[:3, :3] @ axis, T[:3, :3] @ axis)
-    E = {BASE: np.eye(3), TIP: now[:3, :3], TARGET: T[:3, :3]}[int(t[WHAT.frame])]
+    E = {AXES.base: np.eye(3), AXES.tip: now[:3, :3], AXES.target: T[:3, :3]}[int(t[WHAT.frame])]
     both = np.concatenate([E.T @ e, E.T @ r])
     s, w = t[WHAT.s0 : WHAT.s5 + 1], t[WHAT.w0 : WHAT.w5 + 1]
     return w * (np.sign(both) * np.maximum(np.abs(both) - s, 0.0))

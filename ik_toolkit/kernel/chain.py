@@ -13,8 +13,8 @@ from ..compile.jit import cached
 from .algebra import V3, at3, rotation_at
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
-from .records import POINTS, TASK, Array, Ends
-from .starts import FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS, known_configurations
+from .records import POINTS, SIZE, Array, Ends
+from .starts import DISTANCE, FEATURES, PAD, SEEDS, known_configurations
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
@@ -35,7 +35,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
     size, angles = room(rows.shape[0])
     q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
     own = own_coordinates(rows, n)
-    task, kept, K = np.zeros(TASK), np.empty(0), np.empty((n, 6))
+    task, kept, K = np.zeros(SIZE.task), np.empty(0), np.empty((n, 6))
     for t in range(Q.shape[0]):
         for i in range(n):
             q[i] = Q[t, i] / unit[i]
@@ -175,7 +175,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     features = np.zeros((FEATURES, count + PAD), np.float32)
     features[:3, :count] = -2.0 * T[:, :3, 3].T
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
-    features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T
+    features[3:12, :count] = -2.0 * DISTANCE.rotation * rotation.reshape(count, 9).T
     features[12, :count] = (T[:, :3, 3] ** 2).sum(1)
     return features
 
@@ -298,7 +298,7 @@ def pack(
     ends = np.concatenate([base, tip, *vectors, tail])
     seeds = known_configurations(low, high, home / unit, SEEDS)
     features = table(rows, ends, seeds, evaluate)
-    features[12, :SEEDS] += HOME_WEIGHT * ((seeds - home / unit) ** 2).sum(1)
+    features[12, :SEEDS] += DISTANCE.from_home * ((seeds - home / unit) ** 2).sum(1)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))
 
 

@@ -9,14 +9,38 @@ from .counted_error import allowance
 from .records import WHAT
 from .vectors import dot
 
-# The status codes that compiled solvers return; `solvers.status.Status` explains them to the user.
-CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
-# The target or the start is invalid: Python examines it and raises, so users never see these.
-BAD_TARGET, BAD_START = 8, 9
-TOO_FAR = 11  # Code 10 is not used here: it is COLLISION, which Python finds after the compiled search.
-ORTHONORMAL = 1e-6  # largest difference between the dot products of a pose's axes and 0 or 1
-LAST_ROW = 1e-9  # largest difference between a pose's last row and 0 0 0 1
-FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their squares would overflow.
+
+class StatusCodes(NamedTuple):
+    """The status numbers that compiled solvers return; `solvers.status.Status` explains them to the user.
+
+    Number 10 is not used here: it is COLLISION, which Python finds after the compiled search.
+    """
+
+    converged: int = 0
+    stalled: int = 1
+    iteration_limit: int = 2
+    limit_blocked: int = 3
+    unreachable: int = 4
+    singular: int = 5
+    not_finite: int = 6
+    check_failed: int = 7
+    # The target or the start is invalid: Python examines it and raises, so users never see these two.
+    bad_target: int = 8
+    bad_start: int = 9
+    too_far: int = 11
+    # An attempt without a status yet continues, no longer moves any joint (`search.conclude` finds out why), or has come near the
+    # minimum that is known.
+    going: int = -1
+    still: int = -2
+    known: int = -3
+
+
+class PoseThresholds(NamedTuple):
+    """Thresholds by which an array (4, 4) counts as a pose; all were chosen."""
+
+    axes: float = 1e-6  # largest difference between the dot products of the axes and 0 or 1
+    last_row: float = 1e-9  # largest difference between the last row and 0 0 0 1
+    far: float = 1e100  # [m] A pose with coordinates beyond this is refused, because their squares would overflow.
 
 
 class ProofThresholds(NamedTuple):
@@ -31,7 +55,7 @@ class ProofThresholds(NamedTuple):
     blocked: float = 1e-4
 
 
-PROOF = ProofThresholds()
+CODE, RIGID, PROOF = StatusCodes(), PoseThresholds(), ProofThresholds()
 
 
 @inner
@@ -98,18 +122,18 @@ def rigid(T, within):
                 return False
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
-    return det > 0.0 and total < FAR and last < LAST_ROW
+    return det > 0.0 and total < RIGID.far and last < RIGID.last_row
 
 
 @cached
 def is_rigid(T):
     """Return whether T (4, 4) is a pose (as `rigid`), in a compiled function that Python may call."""
-    return rigid(T, ORTHONORMAL)
+    return rigid(T, RIGID.axes)
 
 
 @inner
 def standstill(p, look, near, boxed):
-    """Return why an attempt makes no progress: LIMIT_BLOCKED, SINGULAR (no joint changes the error) or STALLED.
+    """Return why an attempt makes no progress: CODE.limit_blocked, CODE.singular (no joint changes the error) or CODE.stalled.
 
     p.desk.J must be the Jacobian at the configuration of the errors `look`; near: `Ends` with the limits that steps must respect.
     """
@@ -122,5 +146,5 @@ def standstill(p, look, near, boxed):
         if not (boxed and ((q[i] <= near.lower(i) and g < 0.0) or (q[i] >= near.upper(i) and g > 0.0))):
             free += g * g
     if whole <= PROOF.unseen * look.ee * size:
-        return SINGULAR
-    return LIMIT_BLOCKED if free < PROOF.blocked * whole else STALLED
+        return CODE.singular
+    return CODE.limit_blocked if free < PROOF.blocked * whole else CODE.stalled

@@ -10,12 +10,12 @@ import numpy as np
 
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, inline
-from .checks import CONVERGED
+from .checks import CODE
 from .dispatch import problem_on
 from .limits import hold
-from .null_space import REFERENCE, add_inside, make_bounds
+from .null_space import OBJECTIVE, add_inside, make_bounds
 from .problem import BEST_OF_ALL
-from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
+from .records import AT, SIZE, Ends, Orders, copy, read
 from .vectors import dot, largest
 
 
@@ -90,16 +90,16 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     """Do the work of `approach_targets` for one target, whose arrays are given as views; block: scratch memory."""
     o = read(Orders, orders)
-    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     weights, full, s = orders[first : first + n], Ends(flat(ends), n), p.desk
     (places,) = cut(block, np.float64, ((3, n),))
-    box = make_bounds(places, full, REFERENCE, o.limits > 0.0)
+    box = make_bounds(places, full, OBJECTIVE.reference, o.limits > 0.0)
     best, error = cut(block, np.float64, (n, s.y.shape[0]))
     p.head_for(T)
     for i in range(n):
-        s.q[i] = row[ANSWER + i] / full.unit(i)
+        s.q[i] = row[SIZE.answer + i] / full.unit(i)
     add_inside(s.q, s.q, 0.0, box)  # A step of length zero only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
@@ -132,9 +132,9 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
         p.report(BEST_OF_ALL, row)
         for i in range(n):
-            row[ANSWER + i] = best[i] * full.unit(i)
+            row[SIZE.answer + i] = best[i] * full.unit(i)
         if e.good:
-            row[AT.status] = CONVERGED
+            row[AT.status] = CODE.converged
     return value
 
 
@@ -158,11 +158,11 @@ def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
     for k in range(T.shape[0]):
         steps, left[k] = int(min(DOWN.evaluations, allowed - out[k, AT.evaluations])), np.inf
-        if steps >= 2 and out[k, AT.status] != CONVERGED:
+        if steps >= 2 and out[k, AT.status] != CODE.converged:
             before = out[k].copy()
             left[k] = descend_on_views(
                 view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)
             )
-            for j in range(ANSWER + n + 2, out.shape[1], MISS):
+            for j in range(SIZE.answer + n + 2, out.shape[1], SIZE.miss):
                 out[k, j] = before[j]  # The length by which a tip's target is proven out of reach does not change.
     keep(block)

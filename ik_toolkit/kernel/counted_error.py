@@ -28,13 +28,28 @@ from .algebra import M3, V3, at3, put3, rotation_at
 from .kinematics import angle_ratio, column, rotation_angle
 from .records import WHAT, Array
 
-POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, only the position, nothing, or a part
 AXIS = "axis"  # a target (AXIS, axis) is a pose that leaves the rotation about this axis of the tip free
-BASE, TIP, TARGET = range(3)  # frames in which weights and dead bands may be given
+
+
+class TargetKinds(NamedTuple):
+    """Kinds of target, by what counts of a tip's error."""
+
+    pose: int = 0  # the whole error
+    position: int = 1  # only the position
+    free: int = 2  # nothing
+    part: int = 3  # a part
+
+
+class AxesOfParts(NamedTuple):
+    """Frames in whose axes weights and dead bands may be given."""
+
+    base: int = 0
+    tip: int = 1
+    target: int = 2
 
 
 class KeptIndices(NamedTuple):
-    """Indices in the array (KEPT,) that `shape` fills for the derivative.
+    """Indices in the array `kept` (IN.size,) that `shape` fills for the derivative.
 
     A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target,
     if that moves with another tip, becomes (L (u + v x arm_goal), B v).
@@ -46,12 +61,17 @@ class KeptIndices(NamedTuple):
     arm: int = 27  # index of the vector `arm` (3), see above
     arm_goal: int = 30  # index of the vector `arm_goal` (3), see above
     error: int = 33  # index of the six errors that count, with weights and dead bands applied
+    size: int = 39  # length of the array
 
 
-IN = KeptIndices()
-KEPT = 39  # length of the array that `shape` fills
-STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle is below this, which is rounding.
-SMALL_ANGLE = 1e-3  # [rad] angle below which a series replaces the closed formula of a second derivative
+class SmallAngles(NamedTuple):
+    """Angles below which a formula that divides by them is replaced."""
+
+    sine: float = 1e-9  # two directions count as parallel if the sine of their angle is below this, which is rounding
+    angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; chosen
+
+
+KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles()
 
 
 @inner
@@ -78,15 +98,15 @@ def log_curvature(rr):
 
 @inner
 def shape(task, ends, goal, now, linear, angular, kept):
-    """Return the part (linear, angular) of a pose error that counts, and fill kept (KEPT,) for `count_column`.
+    """Return the part (linear, angular) of a pose error that counts, and fill kept (IN.size,) for `count_column`.
 
     The given angular error is 2 sin(angle/2) times the axis; `now` holds the present axes of the last joint. In the comments below,
     G is the matrix for which a small rotation v of the tip changes the rotation vector r by -G v; a small rotation v of the target
     changes r by G' v.
     """
     none = V3(0.0, 0.0, 0.0)
-    if int(task[WHAT.kind]) == FREE:
-        for k in range(KEPT):
+    if int(task[WHAT.kind]) == KIND.free:
+        for k in range(IN.size):
             kept[k] = 0.0
         return none, none
     target = rotation_at(goal, 0)
@@ -98,7 +118,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         k = a.cross(b)
         sine, cosine = math.sqrt(k.square()), a.dot(b)
         r, f, slope = k, 1.0, -1.0 / 3.0
-        if sine > STRAIGHT:
+        if sine > SMALL.sine:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
         elif cosine < 0.0:  # For a rotation by pi any axis normal to a will do.
@@ -107,10 +127,10 @@ def shape(task, ends, goal, now, linear, angular, kept):
     else:
         r = angular * angle_ratio(angular.square())
         f = log_curvature(r.square())
-    axes = target if frame == TARGET else now
+    axes = target if frame == AXES.target else now
     for i in range(3):
         axis = at3(ends.flat, 3 * i)
-        if frame != BASE:
+        if frame != AXES.base:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
         if turns:  # The vector `own` becomes a row of the matrix G, which is axis' G.
@@ -119,7 +139,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         else:
             bend = axis + r.cross(across) * f
             own = bend - across * 0.5
-        if frame == TIP:
+        if frame == AXES.tip:
             own = own + across
         e, w, s = axis.dot(linear), task[WHAT.w0 + i], task[WHAT.s0 + i]
         e = e - min(max(e, -s), s)
@@ -132,9 +152,9 @@ def shape(task, ends, goal, now, linear, angular, kept):
         put3(kept, IN.A + 3 * i, own * w)
         # `others` is a row of the transposed matrix G': axis' G'.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
-        put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
-    put3(kept, IN.arm, linear if frame == TIP else none)
-    put3(kept, IN.arm_goal, -linear if frame == TARGET else none)
+        put3(kept, IN.B + 3 * i, (others - across if frame == AXES.target else others) * w)
+    put3(kept, IN.arm, linear if frame == AXES.tip else none)
+    put3(kept, IN.arm_goal, -linear if frame == AXES.target else none)
     return at3(kept, IN.error), at3(kept, IN.error + 3)
 
 
@@ -168,7 +188,7 @@ def turn_axis(task, kept, out):
     for k in range(3):
         out[k] = 0.0
     if (
-        int(task[WHAT.kind]) != PART
+        int(task[WHAT.kind]) != KIND.part
         or task[WHAT.free] == 0.0
         or min(task[WHAT.w3], task[WHAT.w4], task[WHAT.w5]) == 0.0
     ):
@@ -181,7 +201,7 @@ def turn_axis(task, kept, out):
     if c.square() > a.square():
         a = c
     size = math.sqrt(a.square())
-    if size > STRAIGHT:
+    if size > SMALL.sine:
         a = a * (1.0 / size)
         a = a + V3(0.0, 0.0, 1.0 if a.z >= 0.0 else -1.0)
         a = a * (1.0 / math.sqrt(a.square()))
@@ -193,15 +213,15 @@ def turn_axis(task, kept, out):
 def vector_ratio(kind, rr):
     """Return the factor that turns a rotation error of squared length rr into a rotation vector.
 
-    If only a part of the error counts (PART), the rotation error already is a rotation vector, and the factor is 1.
+    If only a part of the error counts (KIND.part), the rotation error already is a rotation vector, and the factor is 1.
     """
-    return 1.0 if kind == PART else angle_ratio(rr)
+    return 1.0 if kind == KIND.part else angle_ratio(rr)
 
 
 @inline
 def angle_left(kind, rr):
     """Return the angle [rad] of a rotation error of squared length rr."""
-    return math.sqrt(rr) if kind == PART else rotation_angle(rr)
+    return math.sqrt(rr) if kind == KIND.part else rotation_angle(rr)
 
 
 @inline
@@ -223,8 +243,8 @@ class TipState(NamedTuple):
 
     rows: Array  # (L, 10) geometry of the chain
     joints: Array  # (6 L,) axis and point of each joint
-    task: Array  # (TASK,) which part of the error counts, see `records.Task`
-    kept: Array  # (KEPT,) matrices that `shape` computed for this configuration
+    task: Array  # (SIZE.task,) which part of the error counts, see `records.Task`
+    kept: Array  # (IN.size,) matrices that `shape` computed for this configuration
     goal: Array  # (GOAL,) the target
     pose: Array  # (12,) axes of the last joint by rows, then the tip's position
 
@@ -273,22 +293,22 @@ def add_curvature(state, J, first, e, c, least, H):
     kind = int(task[WHAT.kind])
     R, G, tip = rotation_at(state.pose, 0), rotation_at(state.goal, 0), at3(state.pose, 9)
     cp, cr = at3(c, first), at3(c, first + 3) * 0.5
-    if kind == PART:
+    if kind == KIND.part:
         cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
     turn, free, a, b, weight, cosine = 0.0, False, cp, cp, 1.0, 1.0
     if least[1] > 0.0:
-        weight = 1.0 if kind == POSE else even_weight(task)
+        weight = 1.0 if kind == KIND.pose else even_weight(task)
         if weight > 0.0:
             turn, cr = 1.0, cr * 0.0
-            if kind == PART:
+            if kind == KIND.part:
                 angle = math.sqrt(at3(e, first + 3).square()) / weight
                 cosine, turn = (
                     math.cos(angle),
-                    angle / max(math.sin(angle), SMALL_ANGLE) if angle > SMALL_ANGLE else 1.0,
+                    angle / max(math.sin(angle), SMALL.angle) if angle > SMALL.angle else 1.0,
                 )
-                factor = (1.0 - turn * cosine) / (angle * angle) if angle > SMALL_ANGLE else 1.0 / 3.0
+                factor = (1.0 - turn * cosine) / (angle * angle) if angle > SMALL.angle else 1.0 / 3.0
                 add_products(J, first + 3, e, factor / (weight * weight), H)
                 free = task[WHAT.free] > 0.0
                 if free:

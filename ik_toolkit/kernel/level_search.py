@@ -4,13 +4,13 @@ import math
 from typing import NamedTuple
 
 from ..compile.jit import compiled, inline
-from .checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, STALLED, TOO_FAR, UNREACHABLE
+from .checks import CODE
 from .dispatch import evaluation
 from .levels import QUADRATIC
 from .limits import face, held_back
 from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
-from .search import KNOWN, Patience, Spent, make_attempt, start_attempt
+from .search import Patience, Spent, make_attempt, start_attempt
 
 WORST = 1e300  # a squared error above any other
 
@@ -133,10 +133,10 @@ def search_by_levels(rule, p, job, level, plain, excess):
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, True, spent, least, tries)
         found = tries if least < before else found
-        cut_off += status == ITERATION_LIMIT
-        if status == CONVERGED:
+        cut_off += status == CODE.iteration_limit
+        if status == CODE.converged:
             best = compare(p, e, level, best, tries, job)
-        elif status == KNOWN:
+        elif status == CODE.known:
             best = Minimum(best.ee, best.beside, best.agreed + 1, best.found, best.met)
         tries += 1
         enough = best.agreed >= (QUADRATIC.agree if best.ee < 0.0 else QUADRATIC.agree_reach)
@@ -159,29 +159,29 @@ def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, exces
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
     copy(answer, q)
     limits, evaluations, held = o.limits > 0.0, spent.evaluations, -1
-    status = STALLED
+    status = CODE.stalled
     if best.ee < 0.0 or best.met:
-        status = CONVERGED
+        status = CODE.converged
     elif excess > 0.0:
-        status = UNREACHABLE
+        status = CODE.unreachable
     elif spent.evaluations >= o.evaluations or cut_off == tries:
-        status = ITERATION_LIMIT
+        status = CODE.iteration_limit
     elif o.follow > 0.0:
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
         held = held_back(p, e, job.near, job.box, limits)
-        status = TOO_FAR if held >= 0 else STALLED
+        status = CODE.too_far if held >= 0 else CODE.stalled
     elif limits and not reached:
         for i in range(q.shape[0]):
             if q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i):
-                status = LIMIT_BLOCKED
+                status = CODE.limit_blocked
     affordable = evaluations < o.evaluations
     if affordable and limits and not o.follow > 0.0 and face(q, s.start, job.box):
         s.spent[2] = float(PHASE.constrained)
         e = evaluation(rule, p, q)
         evaluations += 1
-        if status == CONVERGED and not e.ee < 0.0:  # Rounding in the shift by 2 pi exceeded a tolerance.
+        if status == CODE.converged and not e.ee < 0.0:  # Rounding in the shift by 2 pi exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, place)

@@ -14,13 +14,16 @@ from .dispatch import problem_on
 from .limits import LIGHTEST, hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
-from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
+from .records import AT, SIZE, Array, Ends, Orders, copy, read
 from .vectors import dot_of_columns, largest
 
-MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
-SINGLE = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
-# Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
-DAMPING = 1e-10
+
+class Objectives(NamedTuple):
+    """Numbers of the secondary objectives, explained in `refine`; 0 is none."""
+
+    mid_range: int = 1
+    reference: int = 2
+    manipulability: int = 3
 
 
 class Steps(NamedTuple):
@@ -33,9 +36,12 @@ class Steps(NamedTuple):
     smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad, or length over the reach]
     # largest move of a joint in a step [rad, or length over the reach], because the null space is curved
     longest: float = 0.3
+    single: float = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
+    # Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
+    damping: float = 1e-10
 
 
-NULL = Steps()
+OBJECTIVE, NULL = Objectives(), Steps()
 
 
 @compiled
@@ -62,7 +68,9 @@ def make_bounds(places, ends, what, limits):
         free = ends.turns(i) > 1.5 or not limits
         box.limits[0, i] = -np.inf if free else ends.lower(i)
         box.limits[1, i] = np.inf if free else ends.upper(i)
-        box.limits[2, i] = 1.0 if what == REFERENCE or (ends.lower(i) > -1e15 and ends.turns(i) < 1.5) else 0.0
+        box.limits[2, i] = (
+            1.0 if what == OBJECTIVE.reference or (ends.lower(i) > -1e15 and ends.turns(i) < 1.5) else 0.0
+        )
     return box
 
 
@@ -96,7 +104,7 @@ def objective_goal(what, ends, ref, i):
 
     Angles are in rad, prismatic joints in lengths over the reach (`ref`: in metres).
     """
-    return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
+    return ends.low(i) + 0.5 * ends.span(i) if what == OBJECTIVE.mid_range else ref[i] / ends.unit(i)
 
 
 @inline
@@ -121,7 +129,7 @@ def onto_target(p, weights, box, enough):
         p.jacobian(e)
         copy(weights, s.w)
         for _ in range(2):
-            p.damped(e, DAMPING)
+            p.damped(e, NULL.damping)
             if not hold(s.q, s.dq, s.w, box):
                 break
         add_inside(s.q, s.dq, 1.0, box)
@@ -144,7 +152,7 @@ def direction(p, z, box):
                 if s.w[i] > 0.0:
                     g += s.J[i, r] * z[i]
             s.y[r] = -g
-        p.toward(s.y, DAMPING)
+        p.toward(s.y, NULL.damping)
         for i in range(n):
             s.dq[i] = s.dq[i] + z[i] if s.w[i] > 0.0 else 0.0
         if not hold(s.q, s.dq, s.w, box):
@@ -154,12 +162,12 @@ def direction(p, z, box):
 @inline
 def objective(p, what, ends, box, ref, weights):
     """Return the value of the objective (see `refine`) at p.desk.q, whose Jacobian is in p.desk.J; less is better."""
-    if what == MANIPULABILITY:
+    if what == OBJECTIVE.manipulability:
         return -log_manipulability(p, ends)
     total = 0.0
     for i in range(ref.shape[0]):
         left = p.desk.q[i] - objective_goal(what, ends, ref, i)
-        unit = ends.span(i) * ends.span(i) if what == MID_RANGE else max(weights[i], LIGHTEST)
+        unit = ends.span(i) * ends.span(i) if what == OBJECTIVE.mid_range else max(weights[i], LIGHTEST)
         total += box.counted(i) * 0.5 * left * left / unit
     return total
 
@@ -176,7 +184,7 @@ def downhill(p, what, ends, box, ref, value, z):
         z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
     for i in range(n + 1):  # The last pass changes no joint and restores the Jacobian of q itself.
         if i < n:
-            if what != MANIPULABILITY:
+            if what != OBJECTIVE.manipulability:
                 continue
             q[i] += NULL.difference
         e = p.evaluate(q)
@@ -205,9 +213,9 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     """Do the work of `refine`, whose arrays are given as views; block: scratch memory."""
     n = ref.shape[0]
     o = read(Orders, orders)
-    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     weights = orders[first : first + n]
     full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
     (places,) = cut(block, np.float64, ((3, n),))
@@ -216,7 +224,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)
     for i in range(n):
-        q[i] = row[ANSWER + i] / full.unit(i)
+        q[i] = row[SIZE.answer + i] / full.unit(i)
     gain = 1.0
     fresh = False  # whether the last step was an improvement
     value = np.inf
@@ -240,7 +248,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         taken += 1 if fresh else 0
         downhill(p, what, full, box, ref, value, z)
         for i in range(n):
-            w[i] = weights[i] * (full.span(i) * full.span(i) if what == MID_RANGE else 1.0)
+            w[i] = weights[i] * (full.span(i) * full.span(i) if what == OBJECTIVE.mid_range else 1.0)
         direction(p, z, box)
         size = largest(dq)
         if size < NULL.smallest:
@@ -255,7 +263,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
         p.report(BEST_OF_ALL, row)
         for i in range(n):
-            row[ANSWER + i] = old[i] * full.unit(i)
+            row[SIZE.answer + i] = old[i] * full.unit(i)
 
 
 @cached
@@ -269,11 +277,11 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
         ends: `records.Ends` of the chain or tree.
         T: (1, 4, 4) or (1, F, 4, 4) target [m], base frame.
         row: The answer of a search, see `search.entry`.
-        ref: (n,) joint values [rad or m] that the objective REFERENCE aims at.
+        ref: (n,) joint values [rad or m] that the objective `reference` aims at.
         orders: See `search.entry`.
-        what: Objective. REFERENCE lowers half the squared distance from `ref`, weighted as in `limits.distance`. MID_RANGE lowers
-            half the squared distance from the middles of the joints' ranges, in units of each range; endless joints do not
-            count. MANIPULABILITY raises the logarithm of the manipulability.
+        what: A number of `Objectives`. `reference` lowers half the squared distance from `ref`, weighted as in `limits.distance`.
+            `mid_range` lowers half the squared distance from the middles of the joints' ranges, in units of each range; endless
+            joints do not count. `manipulability` raises the logarithm of the manipulability.
         steps: Highest number of steps.
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
@@ -298,5 +306,5 @@ def is_wide(J, m):
         size = 0.0
         for i in range(n):
             size = max(size, abs(J[i, k]))
-        moved += size * size > SINGLE * top * top
+        moved += size * size > NULL.single * top * top
     return n >= moved

@@ -39,8 +39,8 @@ import numpy as np
 from ..compile.array_view import cut
 from ..compile.jit import compiled, inline, spliced
 from .algebra import V3, at3, chord, put3, rotation_at
-from .checks import ORTHONORMAL, beyond, edge, rigid
-from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_column, shape
+from .checks import RIGID, beyond, edge, rigid
+from .counted_error import KIND, count_column, count_goal_column, shape
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
@@ -98,7 +98,7 @@ def tolerances(orders, kind, scale):
     Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts.
     """
     tol_p = orders.tol_p / scale
-    return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == PART else chord(orders.tol_r)
+    return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == KIND.part else chord(orders.tol_r)
 
 
 @inline
@@ -107,13 +107,13 @@ def take(T, ends, task, goal, orders):
 
     Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose.
     """
-    if not rigid(T, ORTHONORMAL):
+    if not rigid(T, RIGID.axes):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
     # A target out of reach is moved to the edge of the reach, because the search is fast only at reachable points.
-    if excess > 0.0 and int(task[WHAT.kind]) < FREE:
+    if excess > 0.0 and int(task[WHAT.kind]) < KIND.free:
         edge(goal, ends, excess)
     return excess
 
@@ -139,9 +139,9 @@ def errors_at(task, ends, goal, kept, axes, tip):
     """Return the part of the pose error (linear, angular) that counts for a task."""
     linear, angular = pose_error(goal, axes, tip)
     kind = int(task[WHAT.kind])
-    if kind == POSE:
+    if kind == KIND.pose:
         return linear, angular
-    if kind == POSITION:
+    if kind == KIND.position:
         return linear, V3(0.0, 0.0, 0.0)
     return shape(task, ends, goal, axes, linear, angular, kept)
 
@@ -149,9 +149,9 @@ def errors_at(task, ends, goal, kept, axes, tip):
 @inline
 def counted(kind, kept, linear, angular):
     """Convert a Jacobian column of the tip (linear, angular) to the errors that count."""
-    if kind == POSE:
+    if kind == KIND.pose:
         return linear, angular
-    if kind == POSITION:
+    if kind == KIND.position:
         return linear, V3(0.0, 0.0, 0.0)
     return count_column(kept, linear, angular)
 
@@ -159,7 +159,7 @@ def counted(kind, kept, linear, angular):
 @inline
 def counted_goal(kind, kept, linear, angular):
     """Convert a motion of the target (linear, angular) to the errors that count."""
-    if kind == PART:
+    if kind == KIND.part:
         return count_goal_column(kept, linear, angular)
     return counted(kind, kept, linear, angular)
 
@@ -202,7 +202,7 @@ def add_column(J, i, first, ratio, u, v):
 def to_base(ends, task, y, out):
     """Convert errors y (6,) that `stack` wrote to base axes and metres; if only a part counts, they stay in the task's axes."""
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
-    if int(task[WHAT.kind]) < FREE:
+    if int(task[WHAT.kind]) < KIND.free:
         base = rotation_at(ends.flat, 0)
         linear, angular = base.times(linear), base.times(angular)
     put3(out, 0, linear)

@@ -44,8 +44,8 @@ class Orders(NamedTuple):
 class Task(NamedTuple):
     """Which part of a tip's pose error counts. Lengths are over the reach; the free axis is in the last joint's frame."""
 
-    kind: float  # POSE, POSITION, FREE or PART of `counted_error`
-    frame: float = 0.0  # axes in which weights and dead bands are given: BASE, TIP or TARGET of `counted_error`
+    kind: float  # a number of `counted_error.TargetKinds`
+    frame: float = 0.0  # axes in which weights and dead bands are given, a number of `counted_error.AxesOfParts`
     other: float = -1.0  # index of the tip that the target is relative to; -1 means the base
     free: float = 0.0  # 1 if the tip may turn about the axis (ax, ay, az), else 0
     ax: float = 0.0
@@ -92,15 +92,23 @@ class Miss(NamedTuple):
     excess: float  # length [m] by which the target is proven out of reach
 
 
-# How many numbers each of these NamedTuples takes in an array.
-HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
-# numbers in a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
-PAST = 3
-WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the Orders array for one tip
+class ArraySizes(NamedTuple):
+    """How many numbers each of these NamedTuples takes in an array; what follows in the array begins there."""
+
+    orders: int = len(Orders._fields)
+    task: int = len(Task._fields)
+    weights: int = len(Orders._fields) + len(Task._fields)  # both, for one tip; the joint weights follow
+    answer: int = len(Answer._fields)
+    miss: int = len(Miss._fields)
+    # a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
+    past: int = 3
+
+
+SIZE = ArraySizes()
 # The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
-AT = Answer._make(range(ANSWER))
-ORDER = Orders._make(range(HEAD))
-WHAT: Any = Task._make(range(TASK))
+AT = Answer._make(range(SIZE.answer))
+ORDER = Orders._make(range(SIZE.orders))
+WHAT: Any = Task._make(range(SIZE.task))
 POINTS = 24  # index in the array of `Ends` at which the numbers of the coordinates begin, after base (12) and tip (12)
 
 

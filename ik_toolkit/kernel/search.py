@@ -19,33 +19,18 @@ from numba.extending import overload
 
 from ..compile.array_view import cut, fold, keep, view
 from ..compile.jit import INLINE, cached, compiled, inline, inner
-from .checks import (
-    BAD_START,
-    BAD_TARGET,
-    CONVERGED,
-    ITERATION_LIMIT,
-    LIMIT_BLOCKED,
-    NOT_FINITE,
-    SINGULAR,
-    STALLED,
-    TOO_FAR,
-    UNREACHABLE,
-    standstill,
-)
+from .checks import CODE, standstill
 from .dispatch import aim_at, evaluation, problem_on, shaped
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
-from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .records import SIZE, Answer, Array, Ends, Orders, copy, read, write
 from .starts import BEST, FEATURES, StartTable, make_table, seed_sequence
 from .vectors import clear
 
 # A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
 # ends an attempt with success: q is a first-order minimum (see levels.py).
 SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
-# An attempt without a status yet continues (GOING), no longer moves any joint (STILL; `conclude` finds out why), or has come near
-# the minimum that is known (KNOWN).
-GOING, STILL, KNOWN = -1, -2, -3
 
 
 class GiveUpRules(NamedTuple):
@@ -79,7 +64,7 @@ class SearchInput(NamedTuple):
     table: StartTable
     best: Array  # (n,) the configuration of the least error so far
     closest: Array  # (n,) the solution nearest the start so far
-    history: Array  # (H, PAST + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
+    history: Array  # (H, SIZE.past + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
 
 
 @compiled
@@ -114,19 +99,19 @@ class Attempts(NamedTuple):
 
 @inline
 def judge_evaluation(e, k, ceiling, patience, count, o):
-    """Return the final status of an attempt after evaluation e in its iteration k, or GOING if it continues.
+    """Return the final status of an attempt after evaluation e in its iteration k, or CODE.going if it continues.
 
     ceiling: squared error above which the attempt is given up; count: evaluations so far; o: the options of the solve.
     """
     if e.good:
-        return CONVERGED
+        return CODE.converged
     if not e.ee < END.overflow:
-        return NOT_FINITE
+        return CODE.not_finite
     if k >= patience.iterations or count >= o.evaluations:
-        return ITERATION_LIMIT
+        return CODE.iteration_limit
     if e.ee > ceiling and e.ee > END.rounding:
-        return STALLED
-    return GOING
+        return CODE.stalled
+    return CODE.going
 
 
 @inner
@@ -136,7 +121,7 @@ def note(p, e, ends, history, row, attempt):
     history[row, 0], history[row, 1] = p.left(NOW)
     history[row, 2] = attempt
     for i in range(p.desk.q.shape[0]):
-        history[row, PAST + i] = p.desk.q[i] * ends.unit(i)
+        history[row, SIZE.past + i] = p.desk.q[i] * ends.unit(i)
 
 
 @inline
@@ -172,11 +157,15 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
             copy(q, job.best)
             p.keep(e, BEST_OF_ALL)
         status = judge_evaluation(e, k, ceiling, patience, count, o)
-        if status != CONVERGED and moved <= END.rest and e.ee >= before and code != WAITING:
-            status = STILL
-        if status == GOING and patience.near > 0.0 and distance(q, job.closest, job.weights, job.box) < patience.near:
-            status = KNOWN
-        if status != GOING:
+        if status != CODE.converged and moved <= END.rest and e.ee >= before and code != WAITING:
+            status = CODE.still
+        if (
+            status == CODE.going
+            and patience.near > 0.0
+            and distance(q, job.closest, job.weights, job.box) < patience.near
+        ):
+            status = CODE.known
+        if status != CODE.going:
             break
         before = e.ee
         if needs_jacobian:
@@ -191,12 +180,12 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
                 break
         count = int(p.desk.spent[0])
         if code == SINGULAR_STEP or code == AT_MINIMUM:
-            status = SINGULAR if code == SINGULAR_STEP else CONVERGED
+            status = CODE.singular if code == SINGULAR_STEP else CODE.converged
             break
         steps += 1
         moved, far = integrate(q, dq, boxed, job.near)
         if not far < END.far_off:
-            status = NOT_FINITE
+            status = CODE.not_finite
             break
     return status, e, least, Spent(count, steps, noted)
 
@@ -226,12 +215,12 @@ def search(rule, p, job, needs_jacobian, excess):
             patience = Patience(o.iterations, np.inf, 1.0, 0.0)
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries % attempts)
-        if place == BEST_OF_ALL and (least < before or status == CONVERGED):
+        if place == BEST_OF_ALL and (least < before or status == CODE.converged):
             found = tries % attempts
         tries += 1
-        if status == ITERATION_LIMIT:
+        if status == CODE.iteration_limit:
             cut_off += 1
-        if status == CONVERGED:
+        if status == CODE.converged:
             hits += 1
             d = distance(q, start, job.weights, job.box) if closest > 0 else 0.0
             if closest > 0 and d < shortest:
@@ -241,7 +230,7 @@ def search(rule, p, job, needs_jacobian, excess):
         if hits >= max(closest, 1) or tries >= most or spent.evaluations >= o.evaluations:
             break
     if hits > 0:
-        status = CONVERGED
+        status = CODE.converged
     return conclude(p, job, Attempts(status, tries, cut_off, found, place), spent, excess), place
 
 
@@ -252,11 +241,11 @@ def conclude(p, job, made, spent, excess):
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
     if excess > 0.0:
-        status = UNREACHABLE
-    elif status != CONVERGED and status != NOT_FINITE:
-        judged = affordable and (o.attempts > 1.0 or following or status == STILL)
+        status = CODE.unreachable
+    elif status != CODE.converged and status != CODE.not_finite:
+        judged = affordable and (o.attempts > 1.0 or following or status == CODE.still)
         if not affordable:
-            status = ITERATION_LIMIT
+            status = CODE.iteration_limit
     answer = job.best if made.slot == BEST_OF_ALL else job.closest
     copy(answer, q)
     turned = limits and not following and face(q, start, job.box)
@@ -265,7 +254,7 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CONVERGED and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
+        if status == CODE.converged and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -274,11 +263,11 @@ def conclude(p, job, made, spent, excess):
                 held = held_back(p, e, job.near, job.box, limits)
             why = standstill(p, e, job.near, limits or following)
             if held >= 0:
-                status = TOO_FAR
+                status = CODE.too_far
             elif o.attempts > 1.0:
-                unfinished = ITERATION_LIMIT if made.cut_off == made.tries else STALLED
-                status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else unfinished
-            elif status == STILL:
+                unfinished = CODE.iteration_limit if made.cut_off == made.tries else CODE.stalled
+                status = CODE.limit_blocked if why == CODE.limit_blocked else unfinished
+            elif status == CODE.still:
                 status = why
     position, rotation = p.left(made.slot)
     return Answer(
@@ -331,9 +320,9 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
     tips = features.shape[0] // FEATURES
-    width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
-    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (PAST + n), PAST + n)
-    first = HEAD + TASK * tips
+    width = SIZE.answer + n + (SIZE.miss * tips if len(T.shape) == 4 else 0)
+    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (SIZE.past + n), SIZE.past + n)
+    first = SIZE.orders + SIZE.task * tips
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
@@ -341,7 +330,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     if following:
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
-    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
+    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[SIZE.orders : first], n, o)
     box, near = Ends(ends, n), Ends(near_ends, n)  # Both read the first tip's limits; all tips have the same limits.
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
@@ -352,10 +341,10 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         row, q0 = out[t * width : (t + 1) * width], Q0[t if Q0.shape[0] > 1 else 0]
         excess = aim_at(rule, p, T[t], o)
         if excess < 0.0:
-            row[0] = BAD_TARGET
+            row[0] = CODE.bad_target
             continue
         if from_q0 and not legal(q0, box, limits):
-            row[0] = BAD_START
+            row[0] = CODE.bad_start
             continue
         for i in range(n):
             start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
@@ -365,7 +354,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         answer, place = seek(rule, p, job, needs_jacobian, excess)
         write(row, 0, answer)
         for i in range(n):
-            row[ANSWER + i] = p.desk.q[i] * box.unit(i)
+            row[SIZE.answer + i] = p.desk.q[i] * box.unit(i)
         p.report(place, row)
 
 
@@ -384,8 +373,8 @@ def entry(cls: type) -> Callable:
     - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
     - Q0: starts (1 or N, n) [rad or m], used if the orders say so; an answer's joints are shifted by 2 pi k to be nearest its
       start;
-    - out: receives N rows, each of ANSWER + n numbers (for several tips MISS F more). Its rest receives the history: for each
-      evaluation PAST + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
+    - out: receives N rows, each of SIZE.answer + n numbers (for several tips SIZE.miss F more). Its rest receives the history: for
+      each evaluation SIZE.past + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
     - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the solver rule.
     """
     step = step_class(cls)

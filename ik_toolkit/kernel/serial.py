@@ -8,18 +8,7 @@ import numpy as np
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .counted_error import (
-    FREE,
-    KEPT,
-    POSE,
-    POSITION,
-    TipState,
-    add_curvature,
-    angle_left,
-    counts,
-    turn_axis,
-    vector_ratio,
-)
+from .counted_error import IN, KIND, TipState, add_curvature, angle_left, counts, turn_axis, vector_ratio
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import (
@@ -36,7 +25,7 @@ from .problem import (
     to_base,
     tolerances,
 )  # fmt: skip
-from .records import TASK, WHAT, Array, Ends
+from .records import SIZE, WHAT, Array, Ends
 from .starts import nearest_seeds, rnd
 from .vectors import clear
 
@@ -62,9 +51,9 @@ class Serial(NamedTuple):
     desk: Desk
     rows: Array  # (L, 10) geometry of the chain, see kinematics.py
     ends: Ends  # base, tip and joint limits of a step
-    task: Array  # (TASK,) which part of the error counts, see `records.Task`
+    task: Array  # (SIZE.task,) which part of the error counts, see `records.Task`
     goal: Array  # (GOAL,) the target
-    kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
+    kept: Array  # (IN.size,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
     # (12,) pose computed last (by the method `stand`): axes of the last joint by rows, then the tip's position
     pose: Array
     joints: Array  # (6 L,) axis and point of each joint
@@ -144,7 +133,7 @@ class Serial(NamedTuple):
                 u, v = column(self.rows, self.joints, r, look.point)
                 ratio = self.rows[r, 4] + self.rows[r, 6]
                 linear, angular = linear + u * ratio, angular + v * ratio
-        if kind == POSITION and self.own and self.rows[i, 9] > 0.0:
+        if kind == KIND.position and self.own and self.rows[i, 9] > 0.0:
             axis, point = at3(self.joints, 6 * i), at3(self.joints, 6 * i + 3)
             to, now = at3(self.goal, 9) - point, look.point - point
             side = linear.dot(to)
@@ -162,7 +151,7 @@ class Serial(NamedTuple):
 
     def undo(self, look):
         """Evaluate at desk.q again, because `try_out` changed the matrices `kept` for the Jacobian; the caller restores q."""
-        if int(self.task[WHAT.kind]) > POSITION:
+        if int(self.task[WHAT.kind]) > KIND.position:
             self.try_out(self.desk.q)
 
     def head_for(self, T):
@@ -170,7 +159,7 @@ class Serial(NamedTuple):
         put3(self.goal, 12, at3(self.goal, 9))
 
     def plain(self):
-        return int(self.task[WHAT.kind]) < FREE
+        return int(self.task[WHAT.kind]) < KIND.free
 
     def base_axes(self, y, out):
         to_base(self.ends, self.task, y, out)
@@ -183,7 +172,7 @@ class Serial(NamedTuple):
 
     def bending(self, look, x, y, out):
         jacobian_rate(self.rows, self.joints, self.desk.J, 0, look.point, x, y, out)
-        if int(self.task[WHAT.kind]) == POSITION:
+        if int(self.task[WHAT.kind]) == KIND.position:
             put3(out, 3, V3(0.0, 0.0, 0.0))
 
     def rank(self, table):
@@ -212,7 +201,7 @@ class Serial(NamedTuple):
         return excess if level[0] == 0.0 else min(excess, 0.0)
 
     def tilt(self, g):
-        whole = int(self.task[WHAT.kind]) == POSE and g % 2 == 1
+        whole = int(self.task[WHAT.kind]) == KIND.pose and g % 2 == 1
         angle = math.sqrt(at3(self.desk.y, 3).square()) if whole else 0.0
         return math.sin(angle) / angle if angle > 0.0 else 1.0
 
@@ -245,7 +234,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
-    goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
+    goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, IN.size, 12, size, angles))
     # `trig` is padded, and the sines of its padding are computed, too, so the padding must hold valid numbers.
     clear(trig)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
@@ -253,7 +242,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
         make_desk(block, n, 6),
         rows,
         box,
-        tasks[:TASK],
+        tasks[: SIZE.task],
         goal,
         kept,
         pose,

@@ -19,12 +19,12 @@ from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
 from ..compile.simd import WIDTH, bits, full, lane_select
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
-from .checks import CONVERGED
-from .counted_error import POSITION
+from .checks import CODE
+from .counted_error import KIND
 from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
-from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
+from .records import SIZE, WHAT, Answer, Array, Ends, Orders, copy, read, write
 from .search import END, last_attempt
 from .serial import serial_on
 from .starts import BEST, make_table, rnd, seed_sequence
@@ -198,9 +198,11 @@ def write_answer(p, o, ends, s, lane, wanted, call):
         position, rotation = p.left(BEST_OF_ALL)
     tries, attempts = float(s.tries[lane]), min(o.attempts, float(ATTEMPTS))
     steps, restarts, found = s.spent[0, lane] - tries, min(tries, attempts) - 1.0, (tries - 1.0) % attempts
-    write(out[t], 0, Answer(float(CONVERGED), steps, restarts, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0))
+    write(
+        out[t], 0, Answer(float(CODE.converged), steps, restarts, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0)
+    )
     for i in range(n):
-        out[t, ANSWER + i] = q[i] * ends.unit(i)
+        out[t, SIZE.answer + i] = q[i] * ends.unit(i)
 
 
 @inline
@@ -212,14 +214,14 @@ def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
     block[0] = 0.0
-    p = serial_on(block, rows, chain, orders[HEAD:], n, o)
+    p = serial_on(block, rows, chain, orders[SIZE.orders :], n, o)
     table, s = make_table(block, seeds, features, 1), make_lanes(block, n)
     (wanted,) = cut(block, np.float64, (n,))
-    damping = orders[HEAD + TASK + n]
+    damping = orders[SIZE.orders + SIZE.task + n]
     call = Call(T, Q0, out)
     W, N = WIDTH, T.shape[0]
     tip = at3(ends.flat, 21)
-    turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
+    turning = 0.0 if int(p.task[WHAT.kind]) == KIND.position else 1.0
     attempts = min(int(o.attempts), ATTEMPTS)
     last, most = last_attempt(attempts, int(o.given))
     following, live, renew = 0, 0, ALL

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..compile.array_view import cut
 from ..compile.jit import compiled, dual, inline, inner
-from .counted_error import FREE, counts
+from .counted_error import KIND, counts
 from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
@@ -18,9 +18,17 @@ BEST = 8  # number of attempts that start from precomputed configurations before
 # numbers that describe a configuration's tip pose, by which it is compared with a target, see `chain.table`
 FEATURES = 13
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
-# A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
-# For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is chosen.
-ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
+
+
+class DistanceWeights(NamedTuple):
+    """Weights in the squared distance of a configuration from a target; that of the position error over the reach is 1. Chosen."""
+
+    rotation: float = 0.05  # of |dR|^2 (Frobenius norm)
+    # of |q - home|^2, for one tip, so that of configurations almost equally far away the one nearest home is taken
+    from_home: float = 0.01
+
+
+DISTANCE = DistanceWeights()
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
@@ -144,7 +152,7 @@ def rank_groups(p, table):
     """
     F = p.tasks.shape[0]
     for f in range(F):
-        if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
+        if int(p.tasks[f, WHAT.kind]) == KIND.free and int(p.tasks[f, WHAT.other]) < 0:
             p.place(f, p.desk.start)
             copy(p.poses[f], p.goals[f])
     for _ in range(F):  # The other tip's target may be relative as well, so placing all goals takes up to F passes.
@@ -178,7 +186,7 @@ def begin_each_tip(p, table, k, q):
     """Set q to precomputed start k: each joint takes the value chosen by its tip; without a target it takes q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
-        if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
+        if f < 0 or int(p.tasks[f, WHAT.kind]) == KIND.free:
             q[i] = p.desk.start[i]
         else:
             q[i] = table.seeds[table.choice[table.best[k], f], i]
@@ -216,7 +224,7 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):
-        asked[f] = 1.0 if int(tasks[f, WHAT.kind]) != FREE else asked[f]
+        asked[f] = 1.0 if int(tasks[f, WHAT.kind]) != KIND.free else asked[f]
         if int(tasks[f, WHAT.other]) >= 0:
             asked[int(tasks[f, WHAT.other])] = 1.0
     for i in range(n):
@@ -224,13 +232,13 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
         for f in range(F):
             moves[f, i] = 0.0
             other = int(tasks[f, WHAT.other])
-            if int(tasks[f, WHAT.kind]) != FREE and (
+            if int(tasks[f, WHAT.kind]) != KIND.free and (
                 ends[f, own + i] > 0.0 or (other >= 0 and ends[other, own + i] > 0.0)
             ):
                 moves[f, i] = 1.0
             if asked[f] > 0.0 and ends[f, own + i] > 0.0:
                 choosers[1, i] += 1.0
                 if choosers[0, i] < 0.0 or (
-                    int(tasks[int(choosers[0, i]), WHAT.kind]) == FREE and int(tasks[f, WHAT.kind]) != FREE
+                    int(tasks[int(choosers[0, i]), WHAT.kind]) == KIND.free and int(tasks[f, WHAT.kind]) != KIND.free
                 ):
                     choosers[0, i] = f

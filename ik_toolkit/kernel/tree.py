@@ -12,19 +12,8 @@ import numpy as np
 from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .checks import ORTHONORMAL, rigid
-from .counted_error import (
-    FREE,
-    KEPT,
-    PART,
-    POSE,
-    TipState,
-    add_curvature,
-    add_products,
-    angle_left,
-    turn_axis,
-    vector_ratio,
-)
+from .checks import RIGID, rigid
+from .counted_error import IN, KIND, TipState, add_curvature, add_products, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
@@ -41,7 +30,7 @@ from .problem import (
     to_base,
     tolerances,
 )  # fmt: skip
-from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
+from .records import SIZE, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 from .vectors import clear, dot
@@ -66,15 +55,13 @@ class TreeProblem(NamedTuple):
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
     ends: Array  # (F, ...) base, tip and limits of each tip, see `records.Ends`
-    tasks: Array  # (F, TASK) which part of each tip's error counts, see `records.Task`
+    tasks: Array  # (F, SIZE.task) which part of each tip's error counts, see `records.Task`
     cut: Array  # (F + 1,) indices at which the chains begin in `rows`: chain f is rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 if the coordinate changes a counted error of the tip, else 0
     choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see `relative.TURN`
-    kept: (
-        Array  # (F, KEPT) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
-    )
+    kept: Array  # (F, IN.size) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
     # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
@@ -218,7 +205,7 @@ class TreeProblem(NamedTuple):
     def plain(self):
         result = True
         for f in range(self.tasks.shape[0]):
-            result = result and self.kind_of(f) < PART and self.tasks[f, WHAT.other] < 0.0
+            result = result and self.kind_of(f) < KIND.part and self.tasks[f, WHAT.other] < 0.0
         return result
 
     def base_axes(self, y, out):
@@ -248,9 +235,9 @@ class TreeProblem(NamedTuple):
             tip = at3(self.poses[f], 9)
             jacobian_rate(self.rows_of(f), self.joints_of(f), self.desk.J, 6 * f, tip, x, y, out[6 * f :])
             kind = self.kind_of(f)
-            if kind == FREE:
+            if kind == KIND.free:
                 put3(out, 6 * f, V3(0.0, 0.0, 0.0))
-            if kind != POSE:
+            if kind != KIND.pose:
                 put3(out, 6 * f + 3, V3(0.0, 0.0, 0.0))
 
     def rank(self, table):
@@ -260,7 +247,7 @@ class TreeProblem(NamedTuple):
         begin_each_tip(self, table, k, q)
 
     def arrived(self, f):
-        return self.kind_of(f) != FREE and self.tips[f, 1] < ARRIVED
+        return self.kind_of(f) != KIND.free and self.tips[f, 1] < ARRIVED
 
     def draw(self, table, k, q):
         draw_some(self, table, k, q)
@@ -285,7 +272,7 @@ class TreeProblem(NamedTuple):
         return worst
 
     def tilt(self, g):
-        whole = self.kind_of(g // 2) == POSE and g % 2 == 1
+        whole = self.kind_of(g // 2) == KIND.pose and g % 2 == 1
         angle = math.sqrt(at3(self.desk.y, 3 * g).square()) if whole else 0.0
         return math.sin(angle) / angle if angle > 0.0 else 1.0
 
@@ -309,7 +296,7 @@ class TreeProblem(NamedTuple):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
             # A tip without a target has its start as goal, but its distance from there does not count as an error.
-            free = self.kind_of(f) == FREE
+            free = self.kind_of(f) == KIND.free
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 
@@ -334,7 +321,7 @@ def aim_tips(p, T, orders):
     for f in range(p.tasks.shape[0]):
         other = p.other_of(f)
         if other >= 0:  # A target that moves with another tip cannot be proven out of reach.
-            if not rigid(T[f], ORTHONORMAL):
+            if not rigid(T[f], RIGID.axes):
                 return -1.0
             link_to(T[f], p.ends_of(f), p.ends_of(other), p.links[f])
             excess = 0.0
@@ -363,7 +350,7 @@ def report_tips(p, place, row):
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * p.ends_of(f).scale()
-        write(row, row.shape[0] - MISS * (p.tasks.shape[0] - f), Miss(position, rotation, excess))
+        write(row, row.shape[0] - SIZE.miss * (p.tasks.shape[0] - f), Miss(position, rotation, excess))
 
 
 @spliced
@@ -374,10 +361,10 @@ def tree_on(block, rows, ends, tasks, n, orders):
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
-    each = fold(tasks, np.float64, F, TASK)
+    each = fold(tasks, np.float64, F, SIZE.task)
     (first,) = cut(block, np.int64, (F + 1,))
     moves, choosers, goals, links, kept, poses, joints, trig, tips, asked = cut(
-        block, np.float64, ((F, n), (2, n), (F, GOAL), (F, LINK), (F, KEPT), (F, GOAL), size, angles, (F, 2), F)
+        block, np.float64, ((F, n), (2, n), (F, GOAL), (F, LINK), (F, IN.size), (F, GOAL), size, angles, (F, 2), F)
     )
     first[0] = 0
     for f in range(F):

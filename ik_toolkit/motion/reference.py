@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..kernel.counted_error import FREE, POSITION
+from ..kernel.counted_error import KIND
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
@@ -262,7 +262,7 @@ def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray
         return made
     made[..., :3, 3] += share[:, None, None] * (T[k + 1][..., :3, 3] - T[k][..., :3, 3])
     for f, kind in enumerate(kinds):
-        if kind in (POSITION, FREE):
+        if kind in (KIND.position, KIND.free):
             continue
         between = np.flatnonzero(share > 0.0)
         gaps, which = np.unique(k[between], return_inverse=True)

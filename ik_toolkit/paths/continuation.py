@@ -20,7 +20,7 @@ from ..kernel.dispatch import problem_on
 from ..kernel.kinematics import TAU
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
-from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
+from ..kernel.records import SIZE, Array, Orders, copy, read
 from ..motion.reference import interpolate_poses
 from .path_problem import Problem
 
@@ -151,9 +151,9 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
     seeds, at, columns, Q, span = tracks
     n, N = seeds.shape[1], path.T.shape[0]
     o = read(Orders, orders)
-    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     weights = orders[first : first + n]
     old, new = cut(block, np.float64, (n, n))
     q = p.desk.q

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel.chain import joint_levers
-from ..kernel.counted_error import FREE, POSITION
+from ..kernel.counted_error import KIND
 from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from ..solvers.task import relatives, what_counts
@@ -172,14 +172,14 @@ def bounds(
     others = relatives(robot, o)
     deviation, turn = np.zeros(len(curve) - 1), np.zeros(len(curve) - 1)
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, o), strict=True)):
-        if kind == FREE:
+        if kind == KIND.free:
             continue
         goal = interpolate_poses(T[:, [f]], at, (kind,))[:, 0]
         other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
         tip = ErrorBounds(tips[f], poses[f], goal, other, counts.frame)
         position = o.position_tolerance + beyond[0] + tip.position(counts)
         deviation = np.maximum(deviation, position)
-        if kind != POSITION:
+        if kind != KIND.position:
             axis = counts.free_turn is not None or isinstance(kind, tuple)
             turn = np.maximum(turn, tip.rotation(counts, axis, o.orientation_tolerance + beyond[1]))
     return deviation, turn

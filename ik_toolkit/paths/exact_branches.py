@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel.elimination.binding import answers
-from ..kernel.elimination.terms import CERTAIN
+from ..kernel.elimination.terms import VERDICT
 from ..kernel.kinematics import TAU
 from ..solvers.closed_form.geometry import Screws, read_screws
 from ..solvers.decide import arm_of, elimination_plan
@@ -38,7 +38,7 @@ def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     count = said[:, 0, 0].astype(int)
     Q = said[:, 1 : 1 + max(1, int(count.max(initial=0))), :6].copy()
     Q[np.arange(Q.shape[1]) >= count[:, None]] = np.nan
-    return Q, said[:, 0, 1] == CERTAIN
+    return Q, said[:, 0, 1] == VERDICT.certain
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

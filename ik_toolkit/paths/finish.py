@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.counted_error import FREE, POSITION
+from ..kernel.counted_error import KIND
 from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .certificate import Continuity
@@ -196,11 +196,11 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
     """
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):
-        if kind == FREE:
+        if kind == KIND.free:
             continue
         away = np.linalg.norm(np.diff(T[:, f, :3, 3], axis=0), axis=1) / (FAR[0] * arm.chain.reach)
         gaps = np.maximum(gaps, away)
-        if kind != POSITION:
+        if kind != KIND.position:
             gaps = np.maximum(gaps, angles_between(T[1:, f, :3, :3], T[:-1, f, :3, :3]) / FAR[1])
     pieces = np.maximum(np.ceil(gaps), 1.0)
     while pieces.sum() - len(gaps) > MOST:

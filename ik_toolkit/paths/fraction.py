@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED
-from ..kernel.counted_error import FREE
-from ..kernel.records import ANSWER, AT
+from ..kernel.checks import CODE
+from ..kernel.counted_error import KIND
+from ..kernel.records import AT, SIZE
 from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .finish import ProvenMotion
@@ -20,11 +20,11 @@ STARTS = 16  # largest number of configurations at the first pose from which the
 def lengths(poses: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return the share (N,) of the path's length up to each of the poses (N, F, 4, 4), from 0 to 1.
 
-    The length is the sum of the tips' travel, without tips whose kind in `kinds` is FREE. If no position changes, it is
+    The length is the sum of the tips' travel, without tips whose kind in `kinds` is KIND.free. If no position changes, it is
     the sum of the rotation angles of all tips.
     """
     moves = np.linalg.norm(np.diff(poses[..., :3, 3], axis=0), axis=2)
-    moves[:, [kind == FREE for kind in kinds]] = 0.0
+    moves[:, [kind == KIND.free for kind in kinds]] = 0.0
     if not moves.any():
         pairs = poses[:-1, :, :3, :3].reshape(-1, 3, 3), poses[1:, :, :3, :3].reshape(-1, 3, 3)
         moves = angles_between(*pairs).reshape(moves.shape)
@@ -56,10 +56,10 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
             row = p.single.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
-            new = row[ANSWER : ANSWER + p.robot.n].copy()
+            new = row[SIZE.answer : SIZE.answer + p.robot.n].copy()
             near = (np.abs(new - q) <= p.most * p.unit).all()
             free = search.collides is None or not search.collides(new)
-            return new if row[AT.status] == CONVERGED and near and free else None
+            return new if row[AT.status] == CODE.converged and near and free else None
 
         done, part = begin, 1.0 / PARTS
         for _ in range(HALVINGS):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.counted_error import FREE, POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..motion.reference import interpolate_poses
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part, free_axis, what_counts
@@ -43,7 +43,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
         3 * (2 * f + part)
         for f, kind in enumerate(kinds)
         for part in (0, 1)
-        if kind != FREE and (kind != POSITION or not part)
+        if kind != KIND.free and (kind != KIND.position or not part)
     ]
     moving = np.setdiff1d(np.arange(robot.n), plan.held)
     Q = robot.random_q(rng, SAMPLES)
@@ -64,7 +64,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
-    if all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options):
+    if all(kind in (KIND.pose, KIND.position, KIND.free) for kind in kinds) and not counts_in_part(kinds, plan.options):
         return Freedom(min(own, rows), not closed and own < 3 * len(blocks))
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, plan.options), strict=True)):
         if (axis := free_axis(counts, kind)) is not None:  # a rotation about this axis does not count

@@ -4,11 +4,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT
+from ..kernel.records import AT, SIZE
+from ..motion.reference import exp
 from ..solvers.batch.parts import lanes_of
 from ..solvers.enumerate import ONE_ATTEMPT, search_solutions
+from ..solvers.outcome import SPOKEN
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, group_levels
@@ -92,11 +94,11 @@ class Problem:
             side_by_side(*single.arrays(self.kinds, Q0), T, Q0, out, self.orders)
         else:
             single.run(T, self.kinds, Q0, True, out)
-        good = out[:, AT.status] == CONVERGED
+        good = out[:, AT.status] == CODE.converged
         if not good.any():
             single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
-            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == UNREACHABLE else 0.0
-        return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
+            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
+        return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
         """Return Q (m, n) [internal units] with each joint that may wrap shifted by 2 pi k to be nearest its mid-range."""
@@ -146,9 +148,9 @@ def all_reached(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None)
     q = plan.home if q0 is None else q0[None]
     for t in range(len(T)):
         row = plan.solve(T[t : t + 1], kinds, q, True)
-        if row[AT.status] != CONVERGED:
+        if row[AT.status] != CODE.converged:
             return False
-        q = row[None, ANSWER : ANSWER + plan.robot.n]
+        q = row[None, SIZE.answer : SIZE.answer + plan.robot.n]
     return True
 
 
@@ -186,9 +188,9 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
     Q, good = np.empty((len(T), robot.n)), np.zeros(len(T), dtype=bool)
     for t in range(len(T)):
         row = single.solve(T[t : t + 1], kinds, q[None], True)
-        if row[AT.status] != CONVERGED:
+        if row[AT.status] != CODE.converged:
             row = plan.solve(T[t : t + 1], kinds, q[None], True)
-        Q[t], good[t] = row[ANSWER : ANSWER + robot.n], row[AT.status] == CONVERGED
+        Q[t], good[t] = row[SIZE.answer : SIZE.answer + robot.n], row[AT.status] == CODE.converged
         q = Q[t] if good[t] else q
     return Q, good
 
@@ -204,3 +206,52 @@ def _worth(plan: Any, T: np.ndarray, kinds: tuple, Q: np.ndarray, good: np.ndarr
         )
     moves = np.abs(np.diff(Q[good], axis=0)) / plan.robot.chain.unit
     return int((~good).sum()), int((moves > MINIMA.jump).any(axis=1).sum()), total
+
+
+class HalfTurns:
+    """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
+
+    One of the two ways is chosen by rotating the second pose by far less than its tolerance, so that the interpolation everywhere
+    else is unique.
+
+    gaps (P,): the pose before each such rotation; tips (P,): the tip that turns; axes (P, 3): the chosen unit axis in base axes. At
+    first each such rotation of a tip goes the opposite way to the tip's previous one.
+    """
+
+    def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
+        """Find the rotations of 180 degrees among poses T (N, F, 4, 4) of these kinds; tolerance [rad]: of the orientation."""
+        self._T = T
+        gaps, tips, axes = [], [], []
+        for f, kind in enumerate(kinds):
+            if kind in SPOKEN:
+                continue
+            R = T[1:, f, :3, :3] @ np.swapaxes(T[:-1, f, :3, :3], 1, 2)
+            sine = 0.5 * np.linalg.norm(
+                np.stack([R[:, i, j] - R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2))]), axis=0
+            )
+            # A rotation may be reversed if it differs from pi by less than a tenth of the tolerance.
+            before = np.zeros(3)
+            for k in np.flatnonzero((sine <= 0.1 * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
+                # For a rotation of 180 degrees about the unit axis a, this is the matrix a a'.
+                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
+                axis = square[:, np.argmax(np.diag(square))]
+                before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
+                gaps.append(k)
+                tips.append(f)
+                axes.append(before)
+        self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
+
+    def turn_round(self, gaps: list[int]) -> bool:
+        """Reverse the rotations of 180 degrees that follow the poses in `gaps`; return False if there are none."""
+        meant = np.isin(self.gaps, gaps)
+        self.axes[meant] *= -1.0
+        return bool(meant.any())
+
+    def poses(self) -> np.ndarray:
+        """Return the poses (N, F, 4, 4); a pose whose shortest rotation from the pose before is not unique is rotated a little."""
+        T = self._T.copy() if len(self.gaps) else self._T
+        for p in np.argsort(self.gaps, kind="stable").tolist():
+            k, f = self.gaps[p], self.tips[p]
+            # The chosen rotation is shorter than pi by 1e-10 rad, well above rounding (1e-16).
+            T[k + 1, f, :3, :3] = exp((np.pi - 1e-10) * self.axes[p : p + 1])[0] @ T[k, f, :3, :3]
+        return T

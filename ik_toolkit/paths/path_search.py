@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.counted_error import POSE
+from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
 from ..solvers.task import counts_in_part
 from ..text import length
@@ -328,7 +328,7 @@ class Search:
     def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
         """Return the attributes `listing` and `legal`, see the comments in __init__."""
         p = self.problem
-        isolated = p.kinds == (POSE,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
+        isolated = p.kinds == (KIND.pose,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
         listed = every_solution(p.single, p.T) if isolated and not p.redundant else None
         if listed is None:
             return None, np.empty((0, 0), dtype=bool)

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import MissingExtra
-from ..kernel.counted_error import FREE, POSITION
+from ..kernel.counted_error import KIND
 from ..motion.reference import interpolate_poses
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
@@ -147,7 +147,7 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
     share = np.concatenate([np.arange(k) / k for k in parts] + [[1.0]])
     k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
     ends = interpolate_poses(result.targets, at, result.kinds)[..., :3, 3]
-    chords, counted = np.diff(ends, axis=0), [kind != FREE for kind in result.kinds]
+    chords, counted = np.diff(ends, axis=0), [kind != KIND.free for kind in result.kinds]
     arms = list(zip(plan.robot.arms, plan.robot.places, strict=True))
     poses = [arm.chain.forward(np.ascontiguousarray(rows[:, place]))[0] for arm, place in arms]
     away = []
@@ -168,7 +168,7 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
     found = np.zeros(len(T), dtype=bool)
     for f, kind in enumerate(kinds):
         chords = np.diff(T[:, f, :3, 3], axis=0)
-        if kind != FREE and len(chords) > 1:
+        if kind != KIND.free and len(chords) > 1:
             across = np.linalg.norm(np.cross(chords[:-1], chords[1:]), axis=1)
             angle = np.arctan2(across, (chords[:-1] * chords[1:]).sum(axis=1))
             found[1:-1] |= angle > CORNER
@@ -179,14 +179,14 @@ def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
     That is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
-    whose kind is FREE are left out.
+    whose kind is KIND.free are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):
-        if kind == FREE or len(T) < 3:
+        if kind == KIND.free or len(T) < 3:
             continue
         turns = np.zeros((len(T) - 1, 3))
-        if kind != POSITION:
+        if kind != KIND.position:
             turns = np.array([pin.log3(a.T @ b) for a, b in zip(T[:-1, f, :3, :3], T[1:, f, :3, :3], strict=True)])
         for row, moves in zip(found, (np.diff(T[:, f, :3, 3], axis=0), turns), strict=True):
             bend = np.append(np.append(0.0, np.linalg.norm(np.diff(moves, axis=0), axis=1)), 0.0)
@@ -224,12 +224,12 @@ class Arcs:
         ends = np.unique([0, *np.flatnonzero(corners(self.T, self.kinds)).tolist(), len(self.T) - 1])
         for a, b in itertools.pairwise(ends.tolist()):
             for f, kind in enumerate(self.kinds) if b - a > 1 else ():
-                if kind == FREE:
+                if kind == KIND.free:
                     continue
                 part = self.T[a : b + 1, f]
                 way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(part[:, :3, 3], axis=0), axis=1) + LEAST))
                 places = CubicSpline(way, part[:, :3, 3], bc_type="not-a-knot" if b - a > 2 else "natural")
-                turns = None if kind == POSITION else RotationSpline(way, Rotation.from_matrix(part[:, :3, :3]))
+                turns = None if kind == KIND.position else RotationSpline(way, Rotation.from_matrix(part[:, :3, :3]))
                 made.append((a, b, f, way, places, turns))
         return made
 

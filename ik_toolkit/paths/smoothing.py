@@ -17,8 +17,8 @@ import numpy as np
 from ..compile.array_view import LINE, cut, flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.dispatch import problem_on
-from ..kernel.null_space import REFERENCE, make_bounds, onto_target
-from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
+from ..kernel.null_space import OBJECTIVE, make_bounds, onto_target
+from ..kernel.records import SIZE, Ends, Orders, copy, read
 
 # Weight of squared task errors against squared joint differences; a step reduces an error of 1e-2 rad to 1e-9 rad.
 TASK_WEIGHT = 1e7
@@ -44,12 +44,12 @@ class PathPrice(NamedTuple):
 def path_problem(rows, ends, orders, n, block):
     """Return the problem of the poses of a path, with its Orders, joint limits (Bounds), joint weights and `Ends`; on views."""
     o = read(Orders, orders)
-    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     full = Ends(flat(ends), n)
     (places,) = cut(block, np.float64, ((3, n),))
-    return p, o, make_bounds(places, full, REFERENCE, o.limits > 0.0), orders[first : first + n], full
+    return p, o, make_bounds(places, full, OBJECTIVE.reference, o.limits > 0.0), orders[first : first + n], full
 
 
 @inner

@@ -1,8 +1,4 @@
-"""`solve_path`: from poses to one joint motion.
-
-Between orientations 180 degrees apart there are two shortest rotations. `HalfTurns` chooses one of them by rotating the second pose
-by far less than its tolerance, so that the interpolation everywhere else is unique.
-"""
+"""`solve_path`: from poses to one joint motion."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -14,9 +10,10 @@ import numpy as np
 
 from ..compile.jit import compile_time
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
-from ..motion.reference import Reference, exp
+from ..kernel.checks import RIGID
+from ..motion.reference import Reference
 from ..robot.constraints import first_open
-from ..robot.pose import FAR, LAST
+from ..robot.pose import LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
@@ -29,7 +26,7 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, Problem, all_reached, nearest_poses
+from .path_problem import STEP, HalfTurns, Problem, all_reached, nearest_poses
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
@@ -39,17 +36,8 @@ OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
 EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
 NOT_HERE = (
-    "closest",
-    "objective",
-    "history",
-    "follow",
-    "check",
-    "max_evaluations",
-    "timeout",
-    "restarts",
-    "max_iterations",
-    "q0_outside",
-)
+    "closest", "objective", "history", "follow", "check", "max_evaluations", "timeout", "restarts", "max_iterations", "q0_outside",
+)  # fmt: skip
 
 
 class PathInterrupted(Portable, KeyboardInterrupt):
@@ -274,11 +262,11 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
 
 
 def _exact(T: np.ndarray) -> np.ndarray:
-    """Return which of the poses T (..., 4, 4) need no correction: rigid to rounding, and nearer than FAR."""
+    """Return which of the poses T (..., 4, 4) need no correction: rigid to rounding, and nearer than RIGID.far."""
     R = T[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):  # Poses that are not finite compare as not exact.
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-        there = np.abs(T[..., :3, 3]).max(axis=-1) < FAR
+        there = np.abs(T[..., :3, 3]).max(axis=-1) < RIGID.far
         return there & (off < EXACT) & (np.linalg.det(R) > 0.0) & (T[..., 3, :] == LAST).all(axis=-1)
 
 
@@ -349,51 +337,3 @@ def _against(made: PathResult, wanted: np.ndarray | None, notice: str = "") -> P
     )
     orientation = None if made.orientation_error is None else errors[:, 1]
     return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
-
-
-DOUBT = 0.1  # A rotation may be reversed if it differs from pi by less than this share of the orientation tolerance.
-SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than pi, well above rounding (1e-16)
-
-
-class HalfTurns:
-    """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
-
-    gaps (P,): the pose before each such rotation; tips (P,): the tip that turns; axes (P, 3): the chosen unit axis in base axes. At
-    first each such rotation of a tip goes the opposite way to the tip's previous one.
-    """
-
-    def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
-        """Find the rotations of 180 degrees among poses T (N, F, 4, 4) of these kinds; tolerance [rad]: of the orientation."""
-        self._T = T
-        gaps, tips, axes = [], [], []
-        for f, kind in enumerate(kinds):
-            if kind in SPOKEN:
-                continue
-            R = T[1:, f, :3, :3] @ np.swapaxes(T[:-1, f, :3, :3], 1, 2)
-            sine = 0.5 * np.linalg.norm(
-                np.stack([R[:, i, j] - R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2))]), axis=0
-            )
-            before = np.zeros(3)
-            for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                # For a rotation of 180 degrees about the unit axis a, this is the matrix a a'.
-                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
-                axis = square[:, np.argmax(np.diag(square))]
-                before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
-                gaps.append(k)
-                tips.append(f)
-                axes.append(before)
-        self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
-
-    def turn_round(self, gaps: list[int]) -> bool:
-        """Reverse the rotations of 180 degrees that follow the poses in `gaps`; return False if there are none."""
-        meant = np.isin(self.gaps, gaps)
-        self.axes[meant] *= -1.0
-        return bool(meant.any())
-
-    def poses(self) -> np.ndarray:
-        """Return the poses (N, F, 4, 4); a pose whose shortest rotation from the pose before is not unique is rotated a little."""
-        T = self._T.copy() if len(self.gaps) else self._T
-        for p in np.argsort(self.gaps, kind="stable").tolist():
-            k, f = self.gaps[p], self.tips[p]
-            T[k + 1, f, :3, :3] = exp((np.pi - SHORT) * self.axes[p : p + 1])[0] @ T[k, f, :3, :3]
-        return T

@@ -9,7 +9,7 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from ..errors import DOUBTED, FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
-from ..kernel.checks import FAR, LAST_ROW
+from ..kernel.checks import RIGID
 from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
@@ -261,8 +261,8 @@ def errors(
 
 
 def _near(position: np.ndarray) -> np.ndarray:
-    if np.abs(position).max() >= FAR:
-        raise InvalidTarget(f"a target position must stay below {FAR:g} m: {position.tolist()}")
+    if np.abs(position).max() >= RIGID.far:
+        raise InvalidTarget(f"a target position must stay below {RIGID.far:g} m: {position.tolist()}")
     return position
 
 
@@ -327,8 +327,8 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
         raise InvalidTarget(f"{needed}, not an array of shape {T.shape}{hint}")
     if not np.isfinite(T).all():
         raise InvalidTarget(f"the {of} pose has entries that are not finite numbers")
-    if np.abs(T[3] - LAST).max() > LAST_ROW:
-        hint = "; the pose looks transposed" if np.abs(T[:, 3] - LAST).max() <= LAST_ROW else ""
+    if np.abs(T[3] - LAST).max() > RIGID.last_row:
+        hint = "; the pose looks transposed" if np.abs(T[:, 3] - LAST).max() <= RIGID.last_row else ""
         raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}{hint}")
     T[3] = LAST
     _near(T[:3, 3])

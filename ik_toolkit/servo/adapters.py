@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, near_match, nearest
-from ..kernel.counted_error import PART
-from ..kernel.records import HEAD, Task
+from ..kernel.counted_error import KIND
+from ..kernel.records import SIZE, Task
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.options import COUNTING, NAMES, OTHERWISE, Options, make_options
@@ -83,7 +83,7 @@ class Published:
         return pack_law(self.method, h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the task parameters for the compiled loop; kinds: kind of target (POSE or POSITION) of each tip.
+        """Return the task parameters for the compiled loop; kinds: kind of target (KIND.pose or KIND.position) of each tip.
 
         Returns:
             The packed task parameters, and an array (3, m) with a column for each error: its weight, its slack (dead band) in
@@ -96,14 +96,14 @@ class Published:
             weights, slack = np.array(task[-12:-6]), np.array(task[-6:])
             weights[slack >= (*(math.inf,) * 3, *(math.pi,) * 3)] = 0.0
             slack[weights == 0.0] = 0.0
-            if task.kind == PART:
+            if task.kind == KIND.part:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
             first = RELATIVE if task.other >= 0 else 1.0
             counts.append(
                 [weights * first * even(self.robot, self.options) * np.repeat(LOWER**level, 3), slack, slack * unit]
             )
-        orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
+        orders = np.concatenate([np.zeros(SIZE.orders), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
 

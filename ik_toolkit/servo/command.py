@@ -14,15 +14,11 @@ from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
 from ..kernel.vectors import add_multiple, any_of, clear, dot
-from .constrained_step import Allowed
+from .constrained_step import MODE, Allowed
 from .laws import (
-    AT_RATE,
-    AT_STEP,
-    CLIP,
+    EASING,
     LAW,
-    REGION,
-    START,
-    STATE,
+    READING,
     CorrectionLimits,
     JointMotion,
     PseudoInverse,
@@ -37,6 +33,7 @@ from .laws import (
 from .null_space_motion import away_from_limits, bend, into_null_space, scale_secondary, weigh
 from .singular_directions import judge_modes, remember
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
+from .workspace import START, STATE
 
 # Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -83,7 +80,7 @@ def desired_null_velocity(law, s, limits, wish, base):
     null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
     """
     n, m = s.J.shape
-    if law.mode == CLIP:
+    if law.mode == MODE.clip:
         return False
     posture, gain, velocity = wish[0], wish[1], wish[2]
     for i in range(n):
@@ -111,7 +108,7 @@ def shift_by_secondary(law, rule, s, limits, wish, rate, h):
 
     Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
     """
-    if law.mode != CLIP:
+    if law.mode != MODE.clip:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
         if desired_null_velocity(law, s, limits, wish, rate):
             add_multiple(s.at, h, s.g, rate.shape[0])
@@ -153,7 +150,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
     n, m = s.J.shape
     if beyond:
         hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
-    limited = law.mode != CLIP and law.code >= LAW.ca
+    limited = law.mode != MODE.clip and law.code >= LAW.ca
     for i in range(n):
         limited = limited or limits[LIMIT.acceleration, i] < np.inf
     if not limited:
@@ -164,8 +161,8 @@ def feed_back(law, s, limits, now, heavy, beyond):
         if s.lost[k] > 0.0:
             gone += dot(s.U[k], s.e, m) ** 2
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > WEAK.close * WEAK.close else 0.0
-    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
-    allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != CLIP else -1)
+    fast, quick = (0.5, 0.5) if law.mode == MODE.clip else (FAST, BRISK)
+    allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != MODE.clip else -1)
     return ease(
         law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, CorrectionLimits(fast, quick, curved), s.x
     )
@@ -176,13 +173,13 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates that a published tracking method commands.
 
     Returns the number of singular directions removed from the task, or the squared damping of the pseudo-inverse in
-    mode CLIP.
+    mode clip.
     """
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
-    border = REGION * law.damping
-    damped, weak, weighed, beyond, heavy = 0.0, False, False, False, 0.0 if law.mode == CLIP else 1.0
-    if law.mode == CLIP:
+    border = EASING.region * law.damping
+    damped, weak, weighed, beyond, heavy = 0.0, False, False, False, 0.0 if law.mode == MODE.clip else 1.0
+    if law.mode == MODE.clip:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
         # With fewer joints than errors not all errors can be closed, so their weights decide which pose is closest.
@@ -214,9 +211,9 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= LAW.ca:
         # Blocked joints do not take the step s / h, so the terms with dJ/dt along that step are left out.
-        if blocked and law.code == LAW.aa and law.reading != AT_RATE:
+        if blocked and law.code == LAW.aa and law.reading != READING.at_rate:
             for i in range(n):
-                s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
+                s.x1[i] *= 0.0 if law.reading == READING.at_step else 1.0
                 s.x2[i] = 0.0
         bend(task, look, s, weighed)
     if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
@@ -224,7 +221,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
     command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
-    if damped > 0.0 and law.mode != CLIP:
+    if damped > 0.0 and law.mode != MODE.clip:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.

@@ -5,7 +5,7 @@ problem with two priority levels (hierarchical_qp.py), never a weighted sum of t
 problem is solved again with damping in proportion to the remaining error (`damp`). If the inequality constraints
 contradict each other or the bounds, they are loosened by the least slack that makes them feasible.
 
-Each row of the task has its own weight. In mode LEAVE all errors of the task rate count alike. In mode DIRECT, errors
+Each row of the task has its own weight. In mode `leave` all errors of the task rate count alike. In mode `direct`, errors
 across the direction asked for count more than falling behind along it (`keep_straight`).
 """
 
@@ -20,13 +20,40 @@ from ..kernel.vectors import dot
 from .equality_qp import program_on, program_space, resized
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
-# modes, explained in the module's docstring: least error now, or the tip falls behind but keeps its direction
-LEAVE, DIRECT = range(2)
-WANTED, MET, SHORT, RELAXED, INEXACT = range(5)  # outcomes, explained in `constrain`
-LOOSE = 1e-9  # Inequalities are loosened by this more than needed, so that a solution exists despite rounding.
-CAUTIOUS = 1.5  # safety factor on the bound of the curvature that the linear model neglects
-# An error across the direction asked for has this weight, if nothing is blocked; falling behind along that direction has weight 1.
-STRAIGHT = 100.0
+
+class StepModes(NamedTuple):
+    """What gives way where limits leave too little room; the numbers of the tracker's option on_limit."""
+
+    direct: int = 1  # the tip falls behind but keeps its direction
+    leave: int = 0  # the error is made as small as possible now
+    clip: int = 2  # each joint is clipped on its own, without the optimisation of this file
+
+
+class StepOutcomes(NamedTuple):
+    """Results of `constrain`; from `short` on the task is not done."""
+
+    wanted: int = 0  # the desired rates are admissible and do the task; they are taken bit for bit
+    met: int = 1  # the task is done
+    # Not all of the task can be done. What remains then damps the motion (`damp`), since joints would otherwise go to and fro at
+    # full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration).
+    short: int = 2
+    # the inequalities contradict each other or the bounds, and were loosened (tests/servo/test_obstacles.py)
+    relaxed: int = 3
+    inexact: int = 4  # the solver found no optimum in the iterations allowed; the rates only keep the bounds
+
+
+class StepMargins(NamedTuple):
+    """Numbers without a unit that keep a step away from rounding, overshoot and detours."""
+
+    # inequalities are loosened by this more than needed, so that a solution exists despite rounding
+    loose: float = 1e-9
+    # factor on the bound of the curvature that the linear model neglects, because full steps zigzag; chosen
+    bend: float = 1.5
+    # weight of an error across the direction asked for, if nothing is blocked; falling behind along it has weight 1; chosen
+    straight: float = 100.0
+
+
+MODE, OUTCOME, CAUTION = StepModes(), StepOutcomes(), StepMargins()
 
 
 @compiled
@@ -39,7 +66,7 @@ class TaskRate(NamedTuple):
     want: Array  # (n,) desired joint rates
     aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
-    mode: int  # LEAVE or DIRECT
+    mode: int  # MODE.leave or MODE.direct
     h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
     mu: float  # damping of the task from the first attempt on; 0: the task is damped only if it is not met
 
@@ -161,14 +188,14 @@ def share_allowed(asked, allowed):
 def keep_straight(p, share):
     """Weight the task error across the direction asked for, so that the tip falls behind rather than leaves its path.
 
-    The weight is 1 + (STRAIGHT - 1) share: STRAIGHT if nothing is blocked, 1 if no motion along the direction is possible.
+    The weight is CAUTION.straight if nothing is blocked, 1 if no motion along the direction is possible, and linear between.
     Without this weight the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With
     acceleration limits the weight is lower, as they block most of the motion asked for while joints start and brake.
     """
     asked, first, end = 0.0, p.planes, p.planes + p.task
     for k in range(first, end):
         asked += p.rhs[k] * p.rhs[k]
-    weight = 1.0 + (STRAIGHT - 1.0) * share
+    weight = 1.0 + (CAUTION.straight - 1.0) * share
     for i in range(p.size if asked > 0.0 else 0):
         s = 0.0
         for k in range(first, end):
@@ -213,7 +240,7 @@ def least_slack(p):
     for c in range(p.planes + n + 1):
         p.active[c] = 0
     solve_levels(resized(p, n + 1, p.planes, 1))
-    return p.y[n] * (1.0 + LOOSE) + LOOSE
+    return p.y[n] * (1.0 + CAUTION.loose) + CAUTION.loose
 
 
 @inline
@@ -256,7 +283,7 @@ def damping(p, asked):
     """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
     The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is the arm's
-    reach, for slow joints as for fast ones. CAUTIOUS adds a margin of 3/2 because full steps zigzag.
+    reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag.
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
     for c in range(p.task):
@@ -265,24 +292,20 @@ def damping(p, asked):
         heavy = max(heavy, asked.weight[k])
     for i in range(asked.size.shape[0]):
         fastest = max(fastest, asked.size[i])
-    return CAUTIOUS * asked.h * math.sqrt(miss) * heavy * fastest * fastest, fastest
+    return CAUTION.bend * asked.h * math.sqrt(miss) * heavy * fastest * fastest, fastest
 
 
 @inner
 def constrain(asked, allowed, room, taken):
     """Find the joint rates that do the task as well as possible and, among those, are nearest to the desired ones.
 
-    Returns a status. WANTED: the desired rates are admissible and do the task; they are taken bit for bit. MET: the task is done.
-    SHORT: not all of the task can be done; the remaining error then damps the motion (`damp`), since joints would otherwise go to
-    and fro at full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED: the
-    inequalities contradict each other or the bounds, and were loosened (tests/servo/test_obstacles.py). INEXACT: the solver found
-    no optimum in the iterations allowed; the rates only keep the bounds.
+    Returns a number of `StepOutcomes`.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)
-        return WANTED
+        return OUTCOME.wanted
     mu, loose, fastest, short = asked.mu, 0.0, 0.0, asked.mu > 0.0
-    share = share_allowed(asked, allowed) if asked.mode == DIRECT and mu == 0.0 else 0.0
+    share = share_allowed(asked, allowed) if asked.mode == MODE.direct and mu == 0.0 else 0.0
     recall(room, allowed.rows, taken)
     while True:
         p = lay_out(room, asked, allowed, loose, fastest)
@@ -301,4 +324,6 @@ def constrain(asked, allowed, room, taken):
             break
         mu, fastest = damping(p, asked)
     answer(p, allowed, taken)
-    return INEXACT if end != DONE else RELAXED if loose > 0.0 else SHORT if short else MET
+    return (
+        OUTCOME.inexact if end != DONE else OUTCOME.relaxed if loose > 0.0 else OUTCOME.short if short else OUTCOME.met
+    )

@@ -21,10 +21,12 @@ from ..kernel.linalg import cholesky
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
 from ..kernel.vectors import clear, dot
-from .laws import CLIP, STATE, apply, gram, natural
+from .constrained_step import MODE
+from .laws import apply, gram, natural
 from .null_space_motion import weigh
 from .singular_step import WEAK
-from .viability import LIMIT, POSITION, ROW, approach, box_of, narrow
+from .viability import BIT, LIMIT, approach, box_of, narrow
+from .workspace import STATE
 
 
 @compiled
@@ -72,12 +74,12 @@ def stuck(law, s, limits, square, h, state):
 
     square: squared weighted error now; `state` is updated. The target stands still if neither its twist s.f (m,) nor the difference
     between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
-    give a zero twist for a target that moves. In mode CLIP, which keeps to the published laws, the result is always False.
+    give a zero twist for a target that moves. In mode clip, which keeps to the published laws, the result is always False.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
         most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
-    if law.mode == CLIP or most > DESCENT.stands or error < DESCENT.small:
+    if law.mode == MODE.clip or most > DESCENT.stands or error < DESCENT.small:
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
         way = min(DESCENT.progress, DESCENT.pace * DESCENT.stalled * fastest(s, limits, error))
@@ -117,7 +119,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
         part = before[i] * x[i] / (size[i] * size[i])
         on, back, speed = on + max(part, 0.0), back - min(part, 0.0), speed + x[i] * x[i]
         swing = swing or (reversals[i] >= DESCENT.reversals and since[i] == 0.0)
-        hindered, held = hindered or (code[i] & (POSITION | ROW)) > 0, held or code[i] > 0
+        hindered, held = hindered or (code[i] & (BIT.position | BIT.row)) > 0, held or code[i] > 0
     hindered = hindered or (not held and speed < (DESCENT.idle * feedback(law, h) * error) ** 2)
     turned = swing or back > DESCENT.reversing * on
     if state[STATE.share] == 0.0:

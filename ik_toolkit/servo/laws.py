@@ -16,12 +16,10 @@ import numpy as np
 
 from ..compile.jit import compiled, dual
 from ..kernel.linalg import TINY, cholesky, cholesky_solve
-from ..kernel.null_space import SINGLE, is_wide
+from ..kernel.null_space import NULL, is_wide
 from ..kernel.records import Array
 from ..kernel.vectors import apply_transposed, dot, dot_of_columns
 from .viability import LIMIT, approach
-
-CLIP = 2  # mode in which each joint is clipped on its own; the modes 0 and 1 are LEAVE and DIRECT
 
 
 class LawCode(NamedTuple):
@@ -33,24 +31,23 @@ class LawCode(NamedTuple):
     aa: int = 3
 
 
-class StepStart(NamedTuple):
-    """Codes of how a step begins."""
+class ReadingCode(NamedTuple):
+    """Codes of the joint rates at which method aa takes dJ/dt: 0, 1 and 2 are its option reading = 1, 2 and 3."""
 
-    with_target: int = 0  # the joints begin at the rate of the target
-    given: int = 1  # the joints begin at a given rate
-    running: int = 2  # the step continues from an earlier command
-    ready: int = 3  # other code has moved the joints, so there is no earlier command to continue from
+    at_rate: int = 0
+    at_rate_and_step: int = 1
+    at_step: int = 2
 
 
-LAW, START = LawCode(), StepStart()
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes dJ/dt: option reading = 1, 2, 3
-REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
+LAW, READING = LawCode(), ReadingCode()
 
 
 @compiled
 class EasingThresholds(NamedTuple):
-    """Thresholds for how much of an error is fed back, see `ease`."""
+    """Thresholds for the damping of the pseudo-inverse, and for how much of an error is fed back, see `ease`."""
 
+    # The pseudo-inverse is damped where the smallest singular value is below this times `Law.damping`; chosen.
+    region: float = 2.0
     # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
     curved: float = 0.25
     sluggish: float = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
@@ -58,25 +55,6 @@ class EasingThresholds(NamedTuple):
 
 
 EASING = EasingThresholds()
-
-
-class State(NamedTuple):
-    """Names for the entries of the array that a tracker's loop keeps between steps; STATE.start etc. are the indices."""
-
-    start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
-    period: int  # length of the last step [s]
-    stop: int  # why the loop ended, a code of `loop.STOP`
-    near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
-    share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
-    lowest: int  # value below which `share` is not lowered for now
-    nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    stalled: int  # time [s] in which the weighted error did not fall; outside a damped descent only while joints are hindered
-    turned: int  # joint reversals while there is no damped descent; the count fades with time
-    free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
-    pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
-
-
-STATE = State._make(range(len(State._fields)))
 
 
 @compiled
@@ -90,11 +68,11 @@ class Law(NamedTuple):
     gamma: float  # weight of the new rate in a step: q' = q + h ((1 - gamma) rate + gamma rate')
     null: float  # damping of null-space motion [1/s]
     damping: float  # [arm reaches per rad] damping of the pseudo-inverse near singular poses
-    reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
+    reading: float  # where dJ/dt is evaluated: a number of `ReadingCode`
     runaway: float  # [rad or arm reaches] mean joint move in a step that ends the run; inf: hold, never end
     brake: float  # 1: brake to rest, whatever the target
     late: float  # longest later step [s] for which limits must hold
-    mode: float  # LEAVE, DIRECT or CLIP
+    mode: float  # a number of `constrained_step.StepModes`
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of inequality constraints in use
     measured: float  # 1: error and Jacobian are evaluated at the measured joints
@@ -157,7 +135,7 @@ def gram(J, m, wide, extra, G):
             G[r, c] = dot_of_columns(J, r, J, c, J.shape[0]) if wide else dot(J[r], J[c], m)
         top = max(top, G[r, r])
     for r in range(k):
-        G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
+        G[r, r] = G[r, r] + extra if G[r, r] > NULL.single * top else 1.0
 
 
 @dual
@@ -179,14 +157,14 @@ def invert(G, k, y):
 def factor(J, m, damping, G, y):
     """Factor G for the pseudo-inverse J^+ of `apply`, damped only near singularities; return the damping lambda^2.
 
-    lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, where s is a lower bound of the smallest
+    lambda^2 = damping^2 (1 - s^2 / (region damping)^2) for s below region damping, where s is a lower bound of the smallest
     singular value (Nakamura and Hanafusa, 1986, use the manipulability in place of s). damping = 0 never damps.
     """
     wide = is_wide(J, m)
     k = m if wide else J.shape[0]
     gram(J, m, wide, 0.0, G)
     low = invert(G, k, y)
-    border = REGION * REGION * damping * damping
+    border = EASING.region * EASING.region * damping * damping
     extra = 0.0
     if damping > 0.0 and not low >= border:
         extra = damping * damping * (1.0 - low / border) if low > 0.0 else damping * damping
@@ -225,13 +203,13 @@ def prepare(p, inverse, target, rate, h, joints):
     if code >= LAW.ca:
         apply_transposed(J, rate, t)
         apply(J, m, inverse.G, t, inverse.y, joints.null)
-        reading = int(p.reading) if code == LAW.aa else AT_RATE
+        reading = int(p.reading) if code == LAW.aa else READING.at_rate
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
             # Without the null-space part a redundant arm would lose an order of accuracy.
             expected = joints.move[i] / h + joints.null[i]
-            joints.x1[i] = expected if reading == AT_STEP else rate[i]
-            joints.x2[i] = rate[i] if reading == AT_RATE else expected
+            joints.x1[i] = expected if reading == READING.at_step else rate[i]
+            joints.x2[i] = rate[i] if reading == READING.at_rate else expected
 
 
 @dual

@@ -4,7 +4,7 @@ A method (a published law, or a solver with one iteration a sample) commands joi
 singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
 the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
 otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a stationary target takes damped
-least-squares steps to the least error nearby (damped_descent.py). In mode CLIP the method is as published: damped in all
+least-squares steps to the least error nearby (damped_descent.py). In mode clip the method is as published: damped in all
 directions near singular poses, each joint clipped on its own.
 """
 
@@ -20,33 +20,17 @@ from numba.extending import overload
 from ..compile.array_view import keep, space, view
 from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
-from ..kernel.records import HEAD, TASK, Orders, copy, read
+from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.search import step_class
 from ..kernel.vectors import apply_transposed, clear
 from .command import Moment, Published, copy_rows, shift_joints, wanted
-from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
+from .constrained_step import MODE, OUTCOME, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
-from .laws import CLIP, START, STATE, Law, apply, factor, rewrite_command, settle
+from .laws import Law, apply, factor, rewrite_command, settle
 from .null_space_motion import SLACK, mirror_free_rows, reflect, slack_rows
 from .singular_step import along_lost, by_modes
-from .viability import (
-    CALMED,
-    CALMING,
-    HELD,
-    LIMIT,
-    RECOVERING,
-    ROW,
-    UNLIMITED,
-    approach,
-    box_of,
-    boxes,
-    calm,
-    clip,
-    move,
-    watch,
-    way_to,
-)
-from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
+from .viability import BIT, CALMING, LIMIT, UNLIMITED, approach, box_of, boxes, calm, clip, move, watch, way_to
+from .workspace import START, STATE, bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
 
 class LoopEnd(NamedTuple):
@@ -113,7 +97,7 @@ def limit_oscillation(law, s, rate, swings, h, state):
 
     Otherwise the reversals may be due to the motion of the target itself.
     """
-    if law.mode != CLIP and state[STATE.free] < CALMING.lasting:
+    if law.mode != MODE.clip and state[STATE.free] < CALMING.lasting:
         calm(rate, s.size, swings, h, box_of(s))
 
 
@@ -121,12 +105,12 @@ def limit_oscillation(law, s, rate, swings, h, state):
 def record_oscillation(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
-    A limit on the acceleration of an oscillating joint (CALMED) does not count as a hindrance.
+    A limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
     """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
     for i in range(code.shape[0]):
-        hindered = hindered or (code[i] | CALMED) != CALMED
+        hindered = hindered or (code[i] | BIT.calmed) != BIT.calmed
     state[STATE.free] = 0.0 if hindered else state[STATE.free] + h
 
 
@@ -141,16 +125,16 @@ def copy_planes(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Clip the rates s.x to their bounds, each joint on its own, in mode CLIP and when the arm brakes (still).
+    """Clip the rates s.x to their bounds, each joint on its own, in mode clip and when the arm brakes (still).
 
-    The method's memory then receives the rates that clipped joints really took (CLIP), or zeros (brake).
+    The method's memory then receives the rates that clipped joints really took (mode clip), or zeros (brake).
     """
     clip(s.x, box_of(s), code)
     if not still:
         settle(law, h, s.before, s.x, code, memory)
         return
     for k in range(code.shape[0]):
-        code[k] = code[k] | HELD
+        code[k] = code[k] | BIT.held
     clear(memory)
 
 
@@ -160,7 +144,7 @@ def judge(wanted, h, p, state):
     """Return whether the loop ends because of the commanded rates, and whether the arm brakes; to brake, the rates become 0.
 
     The arm brakes if p.brake is set, or if the rates are not finite and p.runaway is infinite. Otherwise the loop ends if the rates
-    are not finite, or in mode CLIP if the mean joint move exceeds p.runaway.
+    are not finite, or in mode clip if the mean joint move exceeds p.runaway.
     """
     largest = 0.0
     for k in range(wanted.shape[0]):
@@ -170,7 +154,7 @@ def judge(wanted, h, p, state):
     if still:
         clear(wanted)
     # In the other modes the rate bounds limit a command that is large but finite.
-    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
+    elif bad or (p.mode == MODE.clip and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = STOP.not_finite if bad else STOP.runaway
         return True, still
     return False, still
@@ -186,7 +170,7 @@ def by_constraints(law, s, count, mu, h, own, work, code):
     n = s.J.shape[0]
     mode, size = int(law.mode), s.size
     if mu > 0.0:
-        mode, size = LEAVE, s.even
+        mode, size = MODE.leave, s.even
     else:
         apply_transposed(s.J, s.x, s.ask)
         clear(s.v)
@@ -195,22 +179,22 @@ def by_constraints(law, s, count, mu, h, own, work, code):
     copy(s.x, s.w)
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
     status = constrain(TaskRate(s.J, s.weight, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
-    if status >= SHORT:
+    if status >= OUTCOME.short:
         own.state[STATE.pressed] = SLACK.pressed
     for i in range(n):
-        code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
-        if status != WANTED and own.active[i] == 1:
+        code[i] = (s.why_low[i] | s.why_top[i]) & BIT.recovering
+        if status != OUTCOME.wanted and own.active[i] == 1:
             code[i] = s.why_top[i]
-        elif status != WANTED and own.active[i] == -1:
+        elif status != OUTCOME.wanted and own.active[i] == -1:
             code[i] = s.why_low[i]
     for k in range(int(law.rows)):
-        if status != WANTED and own.kept[k] != 0:
+        if status != OUTCOME.wanted and own.kept[k] != 0:
             most = 0
             for i in range(n):
                 if abs(s.planes[k, i]) > abs(s.planes[k, most]):
                     most = i
-            code[most] = code[most] | ROW
-    return status != WANTED
+            code[most] = code[most] | BIT.row
+    return status != OUTCOME.wanted
 
 
 @inline
@@ -260,8 +244,8 @@ def run(step, arm, given, own, samples, out, h, block):
     q, rate, memory, swings, state = own.motion[0], own.motion[1], own.memory, own.swings, own.state
     n, m, room = q.shape[0], V.shape[1], own.kept.shape[0]
     law, o = read(Law, p), read(Orders, orders)
-    first = HEAD + TASK * (m // 6)
-    task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    first = SIZE.orders + SIZE.task * (m // 6)
+    task = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     weights, rule = orders[first : first + n], read(step, orders, first + n)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
@@ -291,7 +275,7 @@ def run(step, arm, given, own, samples, out, h, block):
             boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
             if shift_joints(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
-        if law.mode != CLIP:
+        if law.mode != MODE.clip:
             leave_out(s.J, s.floor, s.roof)
         count = copy_planes(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
@@ -307,7 +291,7 @@ def run(step, arm, given, own, samples, out, h, block):
         stop, still = judge(s.x, h, law, state)
         if stop:
             return i
-        if still or law.mode == CLIP:
+        if still or law.mode == MODE.clip:
             clip_rates(law, s, still, h, memory, C[i])
         else:
             held = apply_limits(rule, law, s, count, mu, h, own, work, C[i])
@@ -330,7 +314,7 @@ def servo(cls: type | None = None) -> Callable:
     follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the `Record`
     `out` has room for, and returns how many it took.
 
-    rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or
+    rows, ends: the packed chain (several tips: ends (F, ...)); orders: SIZE.orders numbers, a Task for each tip (weights 1 or
     0, no slack), joint weights (n,), parameters of the solver. Each other argument is one array that holds all fields of
     Settings, Carried, Samples or Record. Numbers are in rad and arm reaches; h, T, V, A, errors and tolerances in s, m and rad.
     """

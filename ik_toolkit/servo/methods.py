@@ -36,7 +36,7 @@ from ..validate import number, one_of
 from . import laws, viability
 from .command import TAKEN_UP
 from .orbit_stability import null_rate
-from .stability import GAMMA, best_gains
+from .stability import DEFAULT, best_gains
 
 # [arm reaches per rad] default damping of the pseudo-inverse; joint speed per tip speed then stays below 1 / (2 * 0.02)
 DAMPING = 0.02
@@ -74,7 +74,7 @@ class Method:
     kp: float | None = None
     kd: float | None = None
     reading: int = 2
-    gamma: float = GAMMA
+    gamma: float = DEFAULT.gamma
     share: float | None = None
     null_damping: float = NULL_DAMPING
     damping: float = DAMPING
@@ -136,7 +136,7 @@ def pack_law(method: Method, h: float) -> np.ndarray:
         null=null_rate(method.name, method.null_damping, h),
         omit=1.0 - gains.get("share", 1.0),
         damping=method.damping,
-        reading=laws.AT_STEP if method.name == "aad" else method.reading - 1,
+        reading=laws.READING.at_step if method.name == "aad" else method.reading - 1,
     )
     packed = np.array(law, dtype=float)
     packed.flags.writeable = False

@@ -15,7 +15,8 @@ from ..kernel.limits import LIMIT
 from ..kernel.records import copy
 from ..kernel.vectors import add_multiple, apply_transposed, clear, largest
 from ..validate import number
-from .laws import STATE, apply
+from .laws import apply
+from .workspace import STATE
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
 # [rad or m, or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step

@@ -20,7 +20,7 @@ from ..robot.robot import Robot
 from ..text import equations
 from ..validate import not_negative, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
-from .stability import BEST_CA, WITHOUT, best_gains, complete, longest_step, mapping_matrix
+from .stability import BEST, DEFAULT, best_gains, complete, longest_step, mapping_matrix
 
 # [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
 FAR = 0.15
@@ -86,7 +86,7 @@ def least_rate(
         InvalidTarget: The path cannot be followed.
     """
     fixed: dict[str, Any] = complete(method, gains)
-    own = [name for name in gains if name not in WITHOUT]
+    own = [name for name in gains if name not in DEFAULT._fields]
     tried: dict[str, Any] = fixed if own else best_gains(method, 1.0) | gains
     mapping_matrix(method, 1.0, **tried)  # raises an error if a gain is missing or wrong
     motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping [1/s]")
@@ -190,7 +190,7 @@ def stability_chart(
     """
     one_of(method, ("cv", "ca"), "method of a stability chart")
     motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping")
-    kp_share = positive(BEST_CA[0] / BEST_CA[1] ** 2 if shape is None else shape, "shape")
+    kp_share = positive(BEST["ca"][0] / BEST["ca"][1] ** 2 if shape is None else shape, "shape")
     gain = np.linspace(0.04, 1.1, 28) if gain is None else _positive(gain, "gain")
     counts = 1.0 / np.linspace(1 / 12, 1 / 240, 14) if samples is None else _positive(samples, "samples")
     counts = np.unique(np.round(counts).astype(int)) if samples is None else counts

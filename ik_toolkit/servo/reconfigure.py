@@ -24,17 +24,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT, Ends
+from ..kernel.records import AT, SIZE, Ends
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import find_row, search_for
 from ..solvers.task import group_levels
 from .adapters import LEVER
 from .motion_limits import speeds
-from .target_stream import STAND, STILL, WAIT
-from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
+from .target_stream import ARRIVAL, STAND
+from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
 REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as length_scale
@@ -43,7 +43,7 @@ REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts
 class Taken(NamedTuple):
     """A step that a tracker has taken, joints in rad or arm reaches; the arrays are shared with the tracker."""
 
-    code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
+    code: np.ndarray  # (n,) bits of the limits that were active (`viability.LimitBits`)
     singular: bool  # whether the pose was singular
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
     left: float  # [m] error after the step as one number, in which 1 rad counts as length_scale
@@ -78,13 +78,24 @@ class Postures:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Prepare for targets of these kinds, POSE or POSITION for each tip; compile (or load) all that is needed later."""
+        """Prepare for targets of these kinds (KIND.pose or KIND.position), one a tip; compile all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
         for quick in (False, True):
             self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited, quick=quick)
-        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited, np.zeros(len(q), np.uint8))
+        travel(
+            q,
+            np.zeros_like(q),
+            q,
+            *UNKNOWN,
+            0.0,
+            1.0,
+            ARRIVAL.wait,
+            ARRIVAL.wait,
+            unlimited,
+            np.zeros(len(q), np.uint8),
+        )
 
     def find(
         self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray, *, quick: bool = False
@@ -105,14 +116,14 @@ class Postures:
         rows = np.zeros((len(starts), plan.width))
         plan.run(T.reshape(-1, *self.robot.pose_shape), self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]
-        found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
+        found = rows[status == CODE.converged, SIZE.answer : SIZE.answer + n] / unit
         if not len(found):
-            return found, bool((status == UNREACHABLE).any())
+            return found, bool((status == CODE.unreachable).any())
         turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
         turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
         found = found + TAU * turns
-        inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
-        return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
+        inside = ((found >= limits[0] - MARGIN.noise) & (found <= limits[1] + MARGIN.noise)).all(axis=1)
+        return np.clip(found[inside], limits[0], limits[1]), bool((status == CODE.unreachable).any())
 
     def size(self, E: np.ndarray) -> float:
         """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as length_scale."""
@@ -129,7 +140,7 @@ def locked(limits: np.ndarray) -> bool:
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
-FAST = VELOCITY | RECOVERING  # bits of the limits that hold a joint back only temporarily
+FAST = BIT.velocity | BIT.recovering  # bits of the limits that hold a joint back only temporarily
 
 
 class SearchConstants(NamedTuple):
@@ -220,7 +231,7 @@ class Reconfiguration:
         if self._left and locked(limits):
             self.forget()
         if self._now:
-            if gap(T, self._place) <= STILL:
+            if gap(T, self._place) <= ARRIVAL.still:
                 self._search(T, q, limits, dt)
                 if not self._left:
                     self._now, self.goal = False, self._best[1] if self._best else None
@@ -229,28 +240,28 @@ class Reconfiguration:
         code, held = taken.code.tolist(), 0
         for bits in code:
             held |= bits
-        if not (held & POSITION or taken.singular):
+        if not (held & BIT.position or taken.singular):
             return
         # A joint at its speed limit is already moving as fast as it can.
         # A joint at its acceleration limit is already moving as fast as it can if the target moves.
         # If the target stands still, a joint at its acceleration limit may only be trembling.
-        if held & FAST or (held & ACCELERATION and stood < WAIT):
+        if held & FAST or (held & BIT.acceleration and stood < ARRIVAL.wait):
             self._stood = 0.0
             return
         self._lost += error * dt
         self._stood += dt
         if error < SEARCH.progress * self._least:
             self._least, self._stood, self._left = error, 0.0, 0
-        if self._stood <= WAIT:
+        if self._stood <= ARRIVAL.wait:
             return
-        rests = taken.stand[STAND.rest] >= WAIT
-        stands = stood >= WAIT
+        rests = taken.stand[STAND.rest] >= ARRIVAL.wait
+        stands = stood >= ARRIVAL.wait
         if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
             paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > SEARCH.elsewhere)
             # With a locked joint there are few postures, and an operator who locks one wants no large moves.
             if paused or locked(limits):
                 return
-            self.held = [i for i, bits in enumerate(code) if bits & POSITION]
+            self.held = [i for i, bits in enumerate(code) if bits & BIT.position]
             self._stands = stands
             self._begin(q, limits)
         elif self._left:
@@ -320,7 +331,7 @@ class Reconfiguration:
         _, goal, place = self._best
         q = taken.q
         self._time = time_left(q, goal, taken.limits)
-        if stood < self._time and taken.stand[STAND.rest] < WAIT:
+        if stood < self._time and taken.stand[STAND.rest] < ARRIVAL.wait:
             on_way = [self.postures.size(taken.error_at(q + part * (goal - q))) for part in MOVE.on_way]
             self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
@@ -350,7 +361,7 @@ class Reconfiguration:
         if goal is None or locked(limits):
             self.forget()
             return False
-        if gap(T, self._place) <= STILL:
+        if gap(T, self._place) <= ARRIVAL.still:
             near = MOVE.close
         else:
             found, _ = self.postures.find(np.array([T, T]), np.array([goal, q]), q, limits)

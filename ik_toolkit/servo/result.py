@@ -18,10 +18,10 @@ from ..robot.constraints import first_open
 from ..robot.ros import joint_trajectory
 from ..text import angle, length
 from ..validate import number
-from . import viability
 from .loop import STOP
 from .path_reach import Survey
 from .stability import GainCheck
+from .viability import BIT
 
 ROUNDING = 1e-6  # a lag of the reference's clock below this share of a step is rounding
 
@@ -129,7 +129,7 @@ class TrackResult:
     @property
     def at_limits(self) -> np.ndarray:
         """Which joints (N, n) their own position, speed or acceleration limit held back in each step."""
-        return self.limited & (viability.POSITION | viability.VELOCITY | viability.ACCELERATION) > 0
+        return self.limited & (BIT.position | BIT.velocity | BIT.acceleration) > 0
 
     def outside(self) -> np.ndarray:
         """Return which samples (N+1,) from settle [s] on have an error above a tolerance."""
@@ -283,7 +283,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
             TrackStatus.DIVERGED if stop == STOP.runaway else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
         )
-    limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & viability.ROW))
+    limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & BIT.row))
     note = f" A joint limit was active in {limited} of {done} steps." if limited else ""
     pair = " between '{}' and '{}'".format(*result.between) if result.between else ""
     note += f" A contact ahead{pair} held the robot back in {blocked} of {done} steps." if blocked else ""
@@ -369,7 +369,7 @@ def _added(result: TrackResult, before: str) -> str:
 def _limit(result: TrackResult, joint: int) -> str:
     """Return the name of a joint, with the limit that was active most often while it slowed the clock."""
     codes = result.limited[result.pace == joint, joint]
-    bits = {"position": viability.POSITION, "speed": viability.VELOCITY, "acceleration": viability.ACCELERATION}
+    bits = {"position": BIT.position, "speed": BIT.velocity, "acceleration": BIT.acceleration}
     counts = {limit: int((codes & bit > 0).sum()) for limit, bit in bits.items()}
     name = result.joint_names[joint]
     return f"{name} ({max(counts, key=counts.__getitem__)} limit)" if any(counts.values()) else name

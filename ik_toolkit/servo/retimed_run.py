@@ -15,13 +15,12 @@ from ..kernel.limits import LIMIT
 from ..motion.reference import Reference, checked
 from ..motion.time_law import coordinate_at, evenly, resampled, smoothed, time_law, times_of
 from ..validate import LATE
-from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_search, path_samples, singular_sides, targets_at
 from .singular_step import WEAK
-from .target_stream import samples_from
 from .tracker import Tracker
-from .workspace import Samples, new_record
+from .viability import BIT
+from .workspace import START, STATE, Samples, new_record, samples_from
 
 
 class RetimingConstants(NamedTuple):
@@ -245,8 +244,8 @@ class Run:
         self._begin(way)
         kept = limits.copy()
         limits[[LIMIT.speed, LIMIT.acceleration]] = np.inf
-        if state[laws.STATE.start] == laws.START.given:
-            state[laws.STATE.start] = laws.START.with_target
+        if state[STATE.start] == START.given:
+            state[STATE.start] = START.with_target
         made: list = []
         self._steps(samples, way, made, Counter())
         limits[:] = kept
@@ -296,11 +295,7 @@ class Run:
         times = times_of(s, rate)
         steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
-        t = (
-            np.arange(min(steps, self.most) + 1.0) * self.dt * slower
-        )  # A clock may nearly stand still, so `steps` may be huge.
-        if steps <= self.most:
-            t[-1] = times[-1]
+        t = np.append(np.arange(min(steps, self.most + 1.0)) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
         held = joint[np.searchsorted(s, at, side="right") - 1]
@@ -357,7 +352,7 @@ class Run:
                 move = way.Q[k + 1] - way.Q[k]
                 tracker.secondary.wish[:] = way.Q[k], np.full(len(move), RETIME.lead / self.dt), move / self.dt
                 tracker._carried.away[:] = way.sides[k + 1]
-                tracker._state[laws.STATE.near] = 1.0 + WEAK.side
+                tracker._state[STATE.near] = 1.0 + WEAK.side
             now = samples if steps == count else samples_from(*(one[k : k + steps + 1] for one in samples[1:4]))
             record = new_record(steps + 1, tracker.robot.n, samples.V.shape[1])
             done = tracker.take(now, self.dt, record, runaway=RETIME.runaway)
@@ -375,7 +370,7 @@ class Run:
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:
-            missed = int(((C & (viability.VELOCITY | viability.ACCELERATION)) > 0).any(axis=1).sum())
+            missed = int(((C & (BIT.velocity | BIT.acceleration)) > 0).any(axis=1).sum())
         missed += (whole - len(Q)) * self.most  # an incomplete run is worse than any complete one
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
@@ -400,4 +395,4 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
 
 def at_rest(tracker: Tracker) -> bool:
     """Return whether the joints start at rest: their rates are given, and 0."""
-    return bool(tracker._state[laws.STATE.start] == laws.START.given and not tracker._rate.any())
+    return bool(tracker._state[STATE.start] == START.given and not tracker._rate.any())

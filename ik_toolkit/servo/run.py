@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portable
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..motion.reference import Reference
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
@@ -21,7 +21,6 @@ from ..solvers.batch.targets import doubt_far
 from ..solvers.collision_free import collision_model
 from ..solvers.task import group_levels
 from ..validate import number, one_of, positive
-from . import laws
 from .adapters import check_options
 from .methods import Method, interpolate
 from .path_reach import explain
@@ -37,6 +36,7 @@ from .result import (
 )
 from .retimed_run import Run, Taken, at_rest
 from .tracker import JUMP, Tracker
+from .workspace import STATE
 
 MODES = ("slow", "leave", "clip")
 # names of the options that select which errors count
@@ -143,7 +143,7 @@ def track(
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
     settle = settling(settle, at_rest(tracker), times[-1])
-    tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
+    tracker.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
     tolerances = tuple(np.where(first_level(tracker), tolerances, np.inf))
     run = Run(tracker, references, times, tolerances, settle, stretch, counts)
@@ -189,7 +189,7 @@ def _judged(run: Run, best: Taken, check: Any) -> TrackResult:
     tracker = run.tracker
     made = _result(run, best, check)
     made.figures = figures(made, tracker.robot.chain.unit * JUMP)
-    made.status, made.message = verdict(made, int(tracker._state[laws.STATE.stop]), run.count)
+    made.status, made.message = verdict(made, int(tracker._state[STATE.stop]), run.count)
     hold_against(made, tracker.robot)
     return made
 

@@ -13,7 +13,7 @@ from ..compile.jit import compiled, inline, inner
 from ..kernel.limits import LIMIT
 from ..kernel.records import copy
 from ..kernel.vectors import clear, dot
-from .laws import LAW, REGION, STATE, natural
+from .laws import EASING, LAW, natural
 from .null_space_motion import bend
 from .singular_step import (
     ALONG,
@@ -29,6 +29,7 @@ from .singular_step import (
     way_along,
 )
 from .viability import approach
+from .workspace import STATE
 
 BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
 
@@ -172,7 +173,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
     rate, away, state = own.motion[1], own.away, own.state
     near, beyond, gain = False, False, law.kappa if law.code == LAW.cv else min(natural(law, h), WEAK.gain / h)
     for r in range(m):
-        if s.sv[r] >= REGION * law.damping:
+        if s.sv[r] >= EASING.region * law.damping:
             continue
         if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
             clear(away)  # Before the first singular pose the side from which joints came is only a default.

@@ -18,7 +18,7 @@ For this case `delayed_matrix` adds the earlier positions to the state.
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,19 +36,25 @@ GAINS = {
     "aa": ("share",),
     "aad": ("gamma", "share"),
 }  # the gains of each tracking method, in the order used by BEST
-METHODS = tuple(GAINS)
-GAMMA = 0.6  # default of method aad; its eigenvalue is then 1 - 1/gamma = -2/3
-WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains whose default does not depend on the sample time
 BORDER = 1e-9  # gains within this relative distance of the stability border are called marginal
-
-# The best gains have the smallest spectral radius. In method cv a complex eigenvalue pair turns real at kappa h = 2/3.
-# In method ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
-BEST_CV = 2.0 / 3.0
+# The best gains, kappa h, (kp h^2, kd h) and share, have the smallest spectral radius. In method cv a complex eigenvalue pair turns
+# real at 2/3. In method ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
-BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)
-BEST_CA_RADIUS = -TRIPLE
-BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
-MOST_DELAY = 200.0  # [samples] largest delay; the mapping matrix has as many rows
+BEST = {
+    "cv": (2.0 / 3.0,),
+    "ca": (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3),
+    "av": (1.0,),
+}
+
+
+class DefaultGains(NamedTuple):
+    """The gains whose default does not depend on the sample time."""
+
+    gamma: float = 0.6  # of method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; chosen
+    share: float = 1.0  # the whole error, as published
+
+
+DEFAULT = DefaultGains()
 
 
 def mapping_matrix(
@@ -58,8 +64,8 @@ def mapping_matrix(
     kappa: float | None = None,
     kp: float | None = None,
     kd: float | None = None,
-    gamma: float = GAMMA,
-    share: float = 1.0,
+    gamma: float = DEFAULT.gamma,
+    share: float = DEFAULT.share,
     dof: int = 1,
 ) -> np.ndarray:
     """Return the matrix that carries the linearised state of a method over one sample of h [s], at rest.
@@ -89,7 +95,7 @@ def mapping_matrix(
         gamma, share = _needed(method, h, gamma=positive(gamma, "gamma"), share=share)
         A = np.array([[1.0 - share, 0.0], [-share / (gamma * h), 1.0 - 1.0 / gamma]])
     else:
-        raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
+        raise InvalidOption(f"no tracking method '{method}'.{near_match(method, GAINS)}")
     return np.kron(A, np.eye(dof))
 
 
@@ -140,10 +146,10 @@ def feedback_column(A: np.ndarray) -> np.ndarray:
 
 
 def _samples(delay: Any) -> float:
-    """Return a delay as a number of samples from 0 to MOST_DELAY. Raises InvalidOption for anything else."""
+    """Return a delay as a number of samples from 0 to 200 (so many rows has the matrix). Raises InvalidOption for anything else."""
     found = number(delay, "delay [samples]")
-    if not 0.0 <= found <= MOST_DELAY:
-        raise InvalidOption(f"delay is a number of samples from 0 to {MOST_DELAY:g}, not {found:g}")
+    if not 0.0 <= found <= 200.0:
+        raise InvalidOption(f"delay is a number of samples from 0 to 200, not {found:g}")
     return found
 
 
@@ -182,7 +188,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     meet, radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. If positions are measured `delay` samples ago, the
     best gains are found by a search.
     """
-    one_of(method, METHODS, "tracking method")
+    one_of(method, GAINS, "tracking method")
     h = positive(h, "the sample time [s]")
     units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
     # Methods aa and aad have the eigenvalue of av, and another one that `share` does not change.
@@ -191,7 +197,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     if _samples(delay):
         found = _best_delayed(law, float(delay))
     best = {name: value / units[name] for name, value in zip(GAINS[law], found, strict=True)}
-    return {name: best.get(name, GAMMA) for name in GAINS[method]}
+    return {name: best.get(name, DEFAULT.gamma) for name in GAINS[method]}
 
 
 @functools.cache
@@ -264,11 +270,11 @@ class GainCheck:
 
 def complete(method: str, gains: dict[str, float]) -> dict[str, float]:
     """Return the gains of a method with those added that have a default. Raises InvalidOption for an unknown name."""
-    one_of(method, METHODS, "tracking method")
+    one_of(method, GAINS, "tracking method")
     for name in gains:
         if name not in GAINS[method]:
             raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
-    return {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
+    return {name: value for name, value in DEFAULT._asdict().items() if name in GAINS[method]} | gains
 
 
 def check_gains(
@@ -382,7 +388,7 @@ def _region(method: str, h: float, **gains: float) -> tuple[float, str]:
         top = float(p_limit(d)) if d > 0.0 else 0.0
         where = f"kd h = {d:.4g} (stable between 0 and 1), kp h^2 = {p:.4g} (stable between 0 and {top:.4g})"
         return min(d, 1.0 - d, p, (top - p) / max(top, 1e-300)), where
-    share, gamma = gains.get("share", 1.0), gains.get("gamma", GAMMA)
+    share, gamma = gains.get("share", DEFAULT.share), gains.get("gamma", DEFAULT.gamma)
     margin, where = min(share, 2.0 - share), f"share = {share:.4g}, stable between 0 and 2"
     if method == "aa":
         return min(margin, 0.0), "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever"

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..motion.reference import log
 from ..text import angle, length
-from . import viability
 from .target_jump import Choice
+from .viability import BIT
 from .workspace import samples_of
 
 
@@ -75,7 +75,7 @@ class Outcome(NamedTuple):
     """What the status of one step is computed from; the arrays are not shared with the tracker."""
 
     by: StatusContext
-    code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
+    code: np.ndarray  # (n,) bits of the limits that were active (`viability.LimitBits`)
     before: np.ndarray  # (n,) previous command [rad or arm reaches]
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
     samples: np.ndarray  # block of `Samples`: the targets before and after the step, as views when they are needed
@@ -130,12 +130,12 @@ class Step:
     def status(self) -> StepStatus:
         """How the step went, as an `ik.StepStatus`, whose help says what each means. OK does not mean on target."""
         o = self._outcome
-        if o.code[0] & viability.HELD:
+        if o.code[0] & BIT.held:
             return StepStatus.HELD
         if o.resynced or (self._moved() > o.by.jump).any():
             return StepStatus.JUMPED
         held = int(np.bitwise_or.reduce(o.code))
-        if held & viability.RECOVERING:
+        if held & BIT.recovering:
             return StepStatus.RECOVERING
         if o.way is not None:
             jumped = isinstance(o.way, Choice) and o.way.ratio < math.inf
@@ -143,7 +143,7 @@ class Step:
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
         if (held or o.lost or self._rests()) and self.at_rest and self._away() and not self._falls():
-            return StepStatus.BLOCKED if held & viability.ROW else StepStatus.AT_LIMIT
+            return StepStatus.BLOCKED if held & BIT.row else StepStatus.AT_LIMIT
         hindered = held or (self._away() and (o.down or not self._falls()))
         return StepStatus.LIMITED if hindered else StepStatus.OK
 
@@ -238,13 +238,13 @@ class Step:
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (
-            (viability.RECOVERING, "outside its limits, moving back:"),
-            (viability.POSITION, "position limit on"),
-            (viability.VELOCITY, "speed limit on"),
-            (viability.ACCELERATION, "acceleration limit on"),
-            (viability.CALMED, "kept from swinging or overshooting:"),
+            (BIT.recovering, "outside its limits, moving back:"),
+            (BIT.position, "position limit on"),
+            (BIT.velocity, "speed limit on"),
+            (BIT.acceleration, "acceleration limit on"),
+            (BIT.calmed, "kept from swinging or overshooting:"),
             (
-                viability.ROW,
+                BIT.row,
                 f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",
             ),
         )

@@ -19,8 +19,8 @@ from ..validate import positive, switch
 from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
-from .target_stream import STAND, STILL, WAIT
-from .viability import HELD_BACK, LIMIT, POSITION, UNKNOWN, bending, time_left, travel
+from .target_stream import ARRIVAL, STAND
+from .viability import BIT, LIMIT, MARGIN, UNKNOWN, bending, time_left, travel
 
 # A straight line of the tip is chosen if it takes at most this many times as long as the direct joint move.
 STRAIGHT = 1.2
@@ -108,17 +108,17 @@ class Leap:
         T, q, limits = taken.T, taken.q, taken.limits
         if not taken.stand[STAND.still] or taken.left < LEAP.near:
             return
-        if len(self._place) and gap(T[1], self._place) <= STILL:
+        if len(self._place) and gap(T[1], self._place) <= ARRIVAL.still:
             return
         if taken.left < LEAP.slow * self.postures.size(taken.E[0]):
             return
         # A target that came here smoothly may be turning back, so the arm waits.
-        if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < WAIT:
+        if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < ARRIVAL.wait:
             return
         self._place = T[1].copy()
         # After a smooth motion a joint at its limit means that only another posture can continue.
         # An operator who locks a joint wants no large moves.
-        if (not taken.stand[STAND.jumped] and (taken.code & POSITION).any()) or locked(limits):
+        if (not taken.stand[STAND.jumped] and (taken.code & BIT.position).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
         if len(found):
@@ -181,7 +181,7 @@ class Leap:
         """
         goal, left = self.goal, -1.0
         self._time += h
-        if goal is not None and gap(T, self._place) <= STILL:
+        if goal is not None and gap(T, self._place) <= ARRIVAL.still:
             left = travel(q, rate, goal, *(self._route or UNKNOWN), self._time, gamma, h, late, limits, code)
         if left < 0.0:
             self.forget()
@@ -217,7 +217,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     It is None if two neighbouring points coincide. The path coordinate is time [s] at full speed: the length of a segment is the
     time that its slowest joint needs at that joint's speed limit, so the rate of the coordinate is at most 1.
     """
-    top, a = speeds(limits), (1.0 - HELD_BACK) * limits[LIMIT.acceleration] / bending(gamma)
+    top, a = speeds(limits), (1.0 - MARGIN.held_back) * limits[LIMIT.acceleration] / bending(gamma)
     d = np.diff(points, axis=0)
     length = (np.abs(d) / top).max(axis=1)
     if not (length > 0.0).all():

@@ -12,19 +12,24 @@ from ..copying import CopiesViews
 from ..errors import InvalidTarget, floats
 from ..kernel.algebra import M3, V3, put3
 from ..kernel.checks import rigid
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.kinematics import angle_ratio, rotation_error
 from ..kernel.records import copy
 from ..motion.reference import exp, log
 from ..robot.pose import AxisTarget, as_array
+from ..solvers.batch.targets import SHAPES
 from ..solvers.task import read_one, read_target
-from .workspace import Samples, new_samples, samples_of
+from .workspace import Samples, new_samples, samples_from, samples_of
 
-READ, CHECK, REFUSED = range(3)  # state of a target given to `arrive`: checked, still to be checked, or refused
-# results of `arrive`: accepted, to be checked in full by Python, or not finite (the last target is kept)
-TAKEN, DOUBTFUL, HELD = range(3)
-STILL = 2e-3  # [m, or rotation matrix entries] largest change of a stationary target in WAIT: 20 mm/s, or 0.014 rad/s
-WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
+FLOAT = np.dtype(np.float64)
+
+
+class TargetCodes(NamedTuple):
+    """What is known of a new target, given to `arrive` and returned by it."""
+
+    fine: int = 0  # checked; as a result: accepted
+    doubtful: int = 1  # still to be checked; as a result: by Python, in full
+    refused: int = 2  # not finite; the last target is kept
 
 
 @compiled
@@ -40,9 +45,12 @@ class ArrivalThresholds(NamedTuple):
     # Number of targets over which the longest step is remembered; gains are chosen for this step. If steps vary from 0.5 to 1.5
     # times their mean, method ca then reduces an error to 0.59 of it in each step, with gains for each step only to 0.99.
     recent: int = 10
+    # [m, or rotation matrix entries] largest change of a stationary target in the time `wait`: 20 mm/s, or 0.014 rad/s; chosen
+    still: float = 2e-3
+    wait: float = 0.1  # [s] time within which a target that stands still may not move by more than `still`; chosen
 
 
-ARRIVAL = ArrivalThresholds()
+GIVEN, ARRIVAL = TargetCodes(), ArrivalThresholds()
 
 
 class RestState(NamedTuple):
@@ -51,7 +59,7 @@ class RestState(NamedTuple):
     Before its first motion a target counts as having jumped.
     """
 
-    seconds: int  # [s] for which the target has stood still, to within STILL
+    seconds: int  # [s] for which the target has stood still, to within ARRIVAL.still
     jumped: int  # 1: the target jumped to the pose at which it now stands still
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
     rest: int  # [s] for which the target has been at rest; a trembling target never is
@@ -118,8 +126,8 @@ def distance_between(A, B, first):
 def look(T, stand, dt):
     """Update `stand` (5 + 16 F,), which says whether the target stands still; T (2, F, 4, 4): last two targets, dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
-    moved, most = distance_between(now, flat(T[0]), 0), STILL * dt / WAIT
-    if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > STILL:
+    moved, most = distance_between(now, flat(T[0]), 0), ARRIVAL.still * dt / ARRIVAL.wait
+    if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > ARRIVAL.still:
         stand[at.jumped] = 1.0 if moved > ARRIVAL.jump or (stand[at.jumped] != 0.0 and moved <= most) else 0.0
         stand[at.seconds], stand[at.known] = 0.0, 1.0
         for k in range(now.shape[0]):
@@ -127,7 +135,7 @@ def look(T, stand, dt):
     else:
         stand[at.seconds] += dt
     stand[at.rest] = stand[at.rest] + dt if moved <= ARRIVAL.rests * dt else 0.0
-    stand[at.still] = 1.0 if moved <= most or stand[at.seconds] >= WAIT else 0.0
+    stand[at.still] = 1.0 if moved <= most or stand[at.seconds] >= ARRIVAL.wait else 0.0
 
 
 @cached_small
@@ -135,25 +143,25 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
     samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `RestState`;
-    how: READ, CHECK or REFUSED (the target is checked, to be checked, or not finite). posed: bit f is set if tip f has an
-    orientation. first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether
-    they are given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN,
-    DOUBTFUL (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
+    how: what is known of the target, a number of `TargetCodes`. posed: bit f is set if tip f has an orientation. first: there was
+    no target before. moved: the former next target becomes the last one. twist, acceleration: whether they are given; if not, the
+    twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns another of these numbers; after
+    GIVEN.doubtful the caller must check the target in full and call again.
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
         replace(T, V, A, 1, 0)
-    held = how == REFUSED or (twist and not finite(Vs[0])) or (acceleration and not finite(As[0]))
+    held = how == GIVEN.refused or (twist and not finite(Vs[0])) or (acceleration and not finite(As[0]))
     for f in range(T.shape[1]):
         if not abs(Ts[0, f, 0, 3]) + abs(Ts[0, f, 1, 3]) + abs(Ts[0, f, 2, 3]) < math.inf:
             held = True
-        elif how == CHECK and (posed >> f) & 1 and not rigid(Ts[0, f], ARRIVAL.tight):
-            return DOUBTFUL
+        elif how == GIVEN.doubtful and (posed >> f) & 1 and not rigid(Ts[0, f], ARRIVAL.tight):
+            return GIVEN.doubtful
     if held:
         copy(flat(T[0]), flat(T[1]))
         for k in range(V.shape[1]):
             V[1, k] = A[1, k] = 0.0
-        return HELD
+        return GIVEN.refused
     for f in range(T.shape[1]):
         for r in range(4):
             for c in range(0 if (posed >> f) & 1 else 3, 4):
@@ -171,11 +179,7 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
         copy(A[1], A[0])
     if slot == 1:
         look(T, stand, dt)
-    return TAKEN
-
-
-FLOAT = np.dtype(np.float64)
-KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its array
+    return GIVEN.fine
 
 
 class Stream(CopiesViews):
@@ -235,10 +239,10 @@ class Stream(CopiesViews):
         if acceleration is not None:
             self._given.A[0] = self._motion(acceleration, "acceleration")
         done = self._arrive(slot, kinds, how, twist is not None, acceleration is not None, dt)
-        if done == DOUBTFUL:
+        if done == GIVEN.doubtful:
             kinds, how = self._read_in_full(target)
             done = self._arrive(slot, kinds, how, twist is not None, acceleration is not None, dt)
-        return done == TAKEN
+        return done == GIVEN.fine
 
     def _keep_pace(self, dt: float) -> None:
         """Replace the longest time between targets after ARRIVAL.recent shorter ones."""
@@ -270,7 +274,7 @@ class Stream(CopiesViews):
         return last
 
     def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
-        """Pass a target to the compiled `arrive`; return TAKEN, DOUBTFUL or HELD.
+        """Pass a target to the compiled `arrive`; return a number of `TargetCodes`.
 
         Raises InvalidTarget if the kind of target has changed.
         """
@@ -280,21 +284,21 @@ class Stream(CopiesViews):
                 "a tracker takes targets of one kind, poses or positions, from the first on; `reset` begins anew"
             )
         if first and kinds is not None:
-            self._posed = sum(1 << f for f, kind in enumerate(kinds) if kind != POSITION)
+            self._posed = sum(1 << f for f, kind in enumerate(kinds) if kind != KIND.position)
         done = arrive(
             self.samples.block, self._given.block, self.stand, slot, how, self._posed, first, self._moved, twist, acceleration,
             dt,
         )  # fmt: skip
         self._moved = 0
-        if done == TAKEN:
+        if done == GIVEN.fine:
             self.kinds = kinds
         return done
 
     def _as_it_is(self, target: Any) -> tuple[tuple | None, int] | None:
-        """Copy a target given as arrays; return its kinds and CHECK (values not yet checked), or None if it has another form."""
+        """Copy a target given as arrays; return its kinds and GIVEN.doubtful (not yet checked), or None if it has another form."""
         if not self.robot.by_tip:
             kind = self._copy(0, target)
-            return None if kind is None else ((kind,), CHECK)
+            return None if kind is None else ((kind,), GIVEN.doubtful)
         if self.kinds is None:
             return None
         if isinstance(target, Mapping):
@@ -306,30 +310,30 @@ class Stream(CopiesViews):
         for f, one in enumerate(target):
             if self._copy(f, one) != self.kinds[f]:
                 return None
-        return self.kinds, CHECK
+        return self.kinds, GIVEN.doubtful
 
     def _copy(self, f: int, target: Any) -> int | None:
-        """Copy the array of tip f's target; return its kind (POSE or POSITION), or None if it is no such array."""
+        """Copy the array of tip f's target; return its kind (KIND.pose or KIND.position), or None if it is no such array."""
         raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", None)
         if type(raw) is not np.ndarray or raw.dtype is not FLOAT:
             return None
-        kind = KIND.get(raw.shape)
-        if kind == POSE:
+        kind = SHAPES.get(raw.shape)
+        if kind == KIND.pose:
             self._poses[f][...] = raw
-        elif kind == POSITION:
+        elif kind == KIND.position:
             self._poses[f][:3, 3] = raw
         return kind
 
     def _read_in_full(self, target: Any) -> tuple[tuple | None, int]:
-        """Check and correct a target of any form; return its kinds and READ, or None and REFUSED if it is not finite.
+        """Check and correct a target of any form; return its kinds and GIVEN.fine, or None and GIVEN.refused if it is not finite.
 
         Raises InvalidTarget.
         """
         T, kinds = self._read(target)
         if T is None:
-            return None, REFUSED
+            return None, GIVEN.refused
         self._given.T[0] = T
-        return kinds, READ
+        return kinds, GIVEN.fine
 
     def _read(self, target: Any) -> tuple[np.ndarray | None, tuple | None]:
         """Return the poses (F, 4, 4) and kinds of a target, or None for both if a number is not finite.
@@ -365,7 +369,7 @@ class Stream(CopiesViews):
             )
         wanted = f"{name} must have 6 values" if self.tips == 1 else f"{name} must have 6 values for each tip"
         array = floats(value, wanted, InvalidTarget).reshape(-1)
-        if array.shape == (3,) and self.tips == 1 and self.kinds != (POSE,):
+        if array.shape == (3,) and self.tips == 1 and self.kinds != (KIND.pose,):
             return np.concatenate([array, np.zeros(3)])
         if array.shape != (6 * self.tips,):
             raise InvalidTarget(f"{wanted}, not shape {np.shape(value)}")
@@ -388,10 +392,3 @@ def _finite(one: Any) -> bool:
         return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):
         return True
-
-
-def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
-    """Return Samples of N targets of F tips: T (N, F, 4, 4), twists V and accelerations A (N, m)."""
-    made = new_samples(*T.shape[:2])
-    made.T[:], made.V[:], made.A[:] = T, V, A
-    return made

@@ -8,19 +8,18 @@ import numpy as np
 from ..compile.array_view import LINE
 from ..copying import CopiesViews, ReadOnly
 from ..errors import InvalidConfiguration, InvalidOption
-from ..kernel.counted_error import POSITION
+from ..kernel.counted_error import KIND
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
 from ..solvers.task import group_levels
 from ..validate import LATE, one_of, parts_of_step, positive, rates
-from . import laws, viability
 from .adapters import bind
 from .collision_guard import ROWS, Guard
-from .constrained_step import DIRECT, LEAVE
+from .constrained_step import MODE
 from .joint_observer import FILTER, JointObserver, read_measured
-from .laws import CLIP
+from .laws import PLACE
 from .methods import Method
 from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .null_space_motion import Secondary, read_secondary
@@ -28,11 +27,11 @@ from .reconfigure import REACHED, Postures, Reconfiguration, Taken
 from .step import StatusContext, Step, make_outcome
 from .target_jump import STRAIGHT, Leap, ways
 from .target_stream import STAND, Stream
-from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
+from .viability import BIT, CALMING, watch
+from .workspace import START, STATE, Record, Samples, carried_of, new_carried, new_record, new_settings
 
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
 RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a measurement is doubted
-MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 
 
 class Tracker(CopiesViews, ReadOnly):
@@ -101,7 +100,7 @@ class Tracker(CopiesViews, ReadOnly):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         robot, limits = self.robot, limits = with_limits(robot, limits)
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
-        self._mode = MODES[one_of(on_limit, MODES, "on_limit")]
+        self._mode = getattr(MODE, one_of(on_limit, MODE._fields, "on_limit"))
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
         self._speed = speeds(self._limits) * robot.chain.unit
@@ -115,7 +114,7 @@ class Tracker(CopiesViews, ReadOnly):
         if self._world is not None:
             self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
-        moves = bool(limits) and self._mode == DIRECT
+        moves = bool(limits) and self._mode == MODE.direct
         self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
         # Each of these objects leads the joints where the tracking method fails or is slow.
         self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
@@ -158,8 +157,8 @@ class Tracker(CopiesViews, ReadOnly):
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.CALMING.lasting
-        self._forget(laws.START.given if rate is not None or self._at_rest else laws.START.with_target)
+        self._carried.swings[:], self._state[STATE.free] = 0.0, CALMING.lasting
+        self._forget(START.given if rate is not None or self._at_rest else START.with_target)
         for way in self._ways:
             way.begin()
         self._observer.reset(jumped=jumped)
@@ -171,10 +170,10 @@ class Tracker(CopiesViews, ReadOnly):
     def _forget(self, start: int) -> None:
         """Forget the method's state, but not the joints' motion and oscillation; start: how the next step begins."""
         own = self._carried
-        joints, swings, free = own.motion.copy(), own.swings.copy(), own.state[laws.STATE.free]
+        joints, swings, free = own.motion.copy(), own.swings.copy(), own.state[STATE.free]
         own.block[LINE:] = 0.0
-        own.motion[:], own.swings[:], own.state[laws.STATE.free] = joints, swings, free
-        own.state[laws.STATE.start] = start
+        own.motion[:], own.swings[:], own.state[STATE.free] = joints, swings, free
+        own.state[STATE.start] = start
         self.secondary.side(own.away)
 
     @property
@@ -216,7 +215,7 @@ class Tracker(CopiesViews, ReadOnly):
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
-            self.prepare(stream.kinds or (POSITION,) * stream.tips)
+            self.prepare(stream.kinds or (KIND.position,) * stream.tips)
         (observer := self._observer).send(before := self._q.copy())
         if q is not None:
             lag = observer.take(read_measured(self.robot, q), dt, self.resync, self._limits) / self.resync
@@ -237,13 +236,13 @@ class Tracker(CopiesViews, ReadOnly):
             left = self._postures.size(self._error)
             behind = left >= REACHED
             # Most steps need no examination: they end at their target, or follow a moving one unhindered.
-            if (lost or stream.stand[STAND.still] or (code & viability.POSITION).any()) if behind else self._behind:
+            if (lost or stream.stand[STAND.still] or (code & BIT.position).any()) if behind else self._behind:
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
         now = self._carried.motion * self._units
         out = make_outcome((
             self._judged, code, before, self._out.E.copy(), stream.samples.block.copy(), dt, h, lost,
-            self._state[laws.STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,
+            self._state[STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         if finite:
             stream.step_on()
@@ -276,9 +275,9 @@ class Tracker(CopiesViews, ReadOnly):
             self._goes = None
             self.take(samples, h, self._out, **how)
             return
-        self._forget(laws.START.ready)
+        self._forget(START.ready)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # Other limits are not reported: a joint move uses them fully.
+        self._code &= BIT.recovering  # Other limits are not reported: a joint move uses them fully.
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
@@ -312,7 +311,7 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._orders, (weights, slack, shown) = self.engine.orders(kinds)
         slacks = 2 * int((slack > 0.0).sum())
-        if self._mode == CLIP and slacks:
+        if self._mode == MODE.clip and slacks:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
         if self._postures:
             self._postures.ready(kinds)
@@ -353,7 +352,7 @@ class Tracker(CopiesViews, ReadOnly):
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
         """Write the method's parameters to the settings; pace [s]: step length for which the gains are chosen."""
-        law, at = self._settings.law, laws.PLACE
+        law, at = self._settings.law, PLACE
         law[:] = self.engine.law(pace)
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
         law[at.rows], law[at.avoid], law[at.mode] = rows, avoid, self._mode
@@ -382,12 +381,10 @@ class Tracker(CopiesViews, ReadOnly):
         self.put_back(before)
         self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
         move = (self._q - q / unit) / h
-        viability.watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
-        state, at = self._state, laws.STATE
-        state[at.start], state[at.free] = laws.START.ready, 0.0
+        watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
+        state, at = self._state, STATE
+        state[at.start], state[at.free] = START.ready, 0.0
         self._carried.memory[:], self._between = 0.0, guard.blocked
         self._end(self.stream.last_of(samples), h, out, **how)
-        out.C[0] = np.where(self._rate == 0.0, viability.ROW, viability.ROW | viability.ACCELERATION) | (
-            viability.HELD if brake else 0
-        )
+        out.C[0] = np.where(self._rate == 0.0, BIT.row, BIT.row | BIT.acceleration) | (BIT.held if brake else 0)
         return 1

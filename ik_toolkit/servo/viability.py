@@ -25,24 +25,34 @@ from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite. RECOVERING: it was outside its limits.
-# ROW: an inequality limits it, such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
-POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
-UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
+UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; chosen
+UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
+
+
+@compiled
+class LimitBits(NamedTuple):
+    """Bits of `code`: why a joint did not move as commanded."""
+
+    position: int = 1
+    velocity: int = 2
+    acceleration: int = 4
+    held: int = 8  # the command was not finite
+    recovering: int = 16  # the joint was outside its limits
+    row: int = 32  # an inequality limits the joint, such as that of an obstacle
+    calmed: int = 64  # the joint oscillated, so that its acceleration was limited
 
 
 @compiled
 class LimitMargins(NamedTuple):
-    """Margins that keep joints inside their position limits despite rounding, and the speed at which they return from outside."""
+    """Margins to limits: for rounding, for corrections, and for joints that return from outside their position limits."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
     # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
     inwards: float = 0.1
-
-
-MARGIN = LimitMargins()
+    # [rad or arm reaches] a joint that misses a viable state by more than this, which exceeds rounding, counts as recovering
+    noise: float = 1e-12
+    held_back: float = 0.1  # share of the acceleration limit kept for corrections of a known motion; chosen
 
 
 @compiled
@@ -56,14 +66,13 @@ class OscillationThresholds(NamedTuple):
     reversals: float = 2.0  # number of consecutive reversals after which a joint counts as oscillating
     window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    # [s] for which oscillating joints are slowed after a limit, an inequality or a singular pose hindered them
-    lasting: float = 0.2
+    lasting: float = 0.2  # [s] of slowing such joints after a limit, an inequality or a singular pose hindered them
     # [1/s] An oscillating joint may gain speed at this rate times its speed limit, plus `growth` times its speed.
     gain: float = 0.75
     growth: float = 10.0  # [1/s] factor of a joint's speed in the bound that `gain` describes
 
 
-CALMING = OscillationThresholds()
+BIT, MARGIN, CALMING = LimitBits(), LimitMargins(), OscillationThresholds()
 
 
 @compiled
@@ -72,7 +81,7 @@ class RateBox(NamedTuple):
 
     floor: Array  # lowest next rates
     roof: Array  # highest next rates
-    why_low: Array  # bits (POSITION, VELOCITY, ...) of the limits that set the lowest rate, `floor`
+    why_low: Array  # bits (`LimitBits`) of the limits that set the lowest rate, `floor`
     why_top: Array  # bits of the limits that set the highest rate, `roof`
 
 
@@ -131,7 +140,7 @@ def way_to(limit, q, sign):
     if abs(limit) == np.inf:
         return np.inf
     way = sign * (limit - q)
-    if way < -NOISE:
+    if way < -MARGIN.noise:
         return way
     return max(way * (1.0 - MARGIN.spare) - MARGIN.rounding * (abs(limit) + abs(q)), 0.0)
 
@@ -154,7 +163,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     """Return the lowest and highest next rate of one joint, and for each of the two the bits of the limits that set it.
 
     If the limits contradict each other (a start outside them, or limits that were changed), both rates are the best compromise.
-    It keeps the acceleration limit first, then the speed limit, then moves back inside; its bits then include RECOVERING.
+    It keeps the acceleration limit first, then the speed limit, then moves back inside; its bits then include BIT.recovering.
     q, v: value and rate; gamma: weight of the next rate in the motion; h, late [s]: this step and the longest later one.
     """
     bend = bending(gamma)
@@ -170,10 +179,10 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     top_p = towards(ahead, v, speed, gamma, h, a, late)
     low_p = -towards(behind, -v, speed, gamma, h, a, late)
     top, low = min(top_p, fast, rise), max(low_p, slow, fall)
-    why_top = ACCELERATION if top == rise else VELOCITY if top == fast else POSITION
-    why_low = ACCELERATION if low == fall else VELOCITY if low == slow else POSITION
+    why_top = BIT.acceleration if top == rise else BIT.velocity if top == fast else BIT.position
+    why_low = BIT.acceleration if low == fall else BIT.velocity if low == slow else BIT.position
     if ahead < 0.0 or behind < 0.0:
-        why_top, why_low = why_top | RECOVERING, why_low | RECOVERING
+        why_top, why_low = why_top | BIT.recovering, why_low | BIT.recovering
     if low > top:
         miss = low - top
         top, low = min(fast, rise), max(slow, fall)
@@ -182,7 +191,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
         # Rounding alone can also leave no rate between the bounds; this does not count as recovering.
-        why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
+        why = BIT.position | BIT.acceleration | (BIT.recovering if miss * h > MARGIN.noise else 0)
         return w, w, why, why
     return low, top, why_low, why_top
 
@@ -198,7 +207,7 @@ def boxes(q, rate, limits, gamma, h, late, box):
         lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
         found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
-        recovering = recovering or (box.why_top[i] & RECOVERING) > 0
+        recovering = recovering or (box.why_top[i] & BIT.recovering) > 0
     return recovering
 
 
@@ -230,9 +239,9 @@ def narrow(i, least, most, box):
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
-        box.floor[i], box.why_low[i] = floor, CALMED | (box.why_low[i] & RECOVERING)
+        box.floor[i], box.why_low[i] = floor, BIT.calmed | (box.why_low[i] & BIT.recovering)
     if roof < top:
-        box.roof[i], box.why_top[i] = roof, CALMED | (box.why_top[i] & RECOVERING)
+        box.roof[i], box.why_top[i] = roof, BIT.calmed | (box.why_top[i] & BIT.recovering)
 
 
 @dual
@@ -257,7 +266,7 @@ def clip(x, box, code):
     """
     hit = False
     for i in range(x.shape[0]):
-        code[i] = box.why_top[i] & RECOVERING
+        code[i] = box.why_top[i] & BIT.recovering
         if x[i] > box.roof[i]:
             x[i], code[i] = box.roof[i], box.why_top[i]
         elif x[i] < box.floor[i]:
@@ -286,10 +295,6 @@ def advance(q, rate, x, gamma, h, late, limits, code):
     hit = clip(x, box, code)
     move(q, rate, x, gamma, h)
     return hit
-
-
-HELD_BACK = 0.1  # share of the acceleration limit reserved for corrections while joints follow a known motion
-UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 
 @cached_small
@@ -343,8 +348,8 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
     """Write to x (n,) the rates that bring joints to the point of a known motion (times, points, rates) at `time` [s].
 
     The rates are those of the motion plus a correction of the distance to its point. The correction is limited to a rate that the
-    share HELD_BACK of the acceleration limit can brake. If gamma is not 1, a step corrects only half of the distance, because
-    whole corrections under the trapezoid rule overshoot in every step.
+    share MARGIN.held_back of the acceleration limit can brake. If gamma is not 1, a step corrects only half of the distance,
+    because whole corrections under the trapezoid rule overshoot in every step.
     """
     times, points, rates = known
     k = 1
@@ -358,7 +363,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
         a, b = d0 + d1 - 2.0 * way, 3.0 * way - 2.0 * d0 - d1
         point, speed = ((a * f + b) * f + d0) * f + points[k - 1, j], ((3.0 * a * f + 2.0 * b) * f + d0) / piece
         missing = point - q[j] - h * ((1.0 - gamma) * rate[j] + gamma * speed)
-        most = approach(abs(missing), 0.0, 1.0, h, HELD_BACK * limits[LIMIT.acceleration, j], h)
+        most = approach(abs(missing), 0.0, 1.0, h, MARGIN.held_back * limits[LIMIT.acceleration, j], h)
         x[j] = speed + math.copysign(min(share * abs(missing) / (gamma * h), most), missing)
 
 

@@ -15,9 +15,38 @@ import numpy as np
 from ..compile.array_view import LINE, cut, fold
 from ..compile.jit import compiled, inline, shared, spliced
 from ..kernel.records import Array
-from .laws import Law, State
+from .laws import PLACE
 
-LAW, STATES = len(Law._fields), len(State._fields)
+
+class StepStart(NamedTuple):
+    """Codes of how a step begins."""
+
+    with_target: int = 0  # the joints begin at the rate of the target
+    given: int = 1  # the joints begin at a given rate
+    running: int = 2  # the step continues from an earlier command
+    ready: int = 3  # other code has moved the joints, so there is no earlier command to continue from
+
+
+START = StepStart()
+
+
+class State(NamedTuple):
+    """Names for the entries of the array that a tracker's loop keeps between steps; STATE.start etc. are the indices."""
+
+    start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
+    period: int  # length of the last step [s]
+    stop: int  # why the loop ended, a code of `loop.STOP`
+    near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
+    share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
+    lowest: int  # value below which `share` is not lowered for now
+    nearest: int  # least weighted error so far; an arm that is not stuck improves on it
+    stalled: int  # time [s] in which the weighted error did not fall; outside a damped descent only while joints are hindered
+    turned: int  # joint reversals while there is no damped descent; the count fades with time
+    free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
+    pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
+
+
+STATE = State._make(range(len(State._fields)))
 
 
 @compiled
@@ -87,13 +116,13 @@ class Record(NamedTuple):
 @shared
 def settings_shapes(n, m, rows):
     """Return the shapes of the arrays in Settings for n coordinates, m errors and `rows` inequalities."""
-    return LAW, (3, m), (4, n), (3, n), (rows, n), rows, n
+    return len(PLACE), (3, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
 def carried_shapes(n, memory, rows, m):
     """Return the shapes of the arrays in Carried (state between steps); int8 arrays are counted in floats of eight bytes."""
-    return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8
+    return (2, n), memory, (3, n), n, (m, m), len(STATE), (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
@@ -173,6 +202,13 @@ def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
 def new_samples(N: int, F: int) -> Samples:
     """Make N samples of targets for F tips, all zeros."""
     return _made(samples_of, samples_shapes(N, F), N, F)
+
+
+def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
+    """Return Samples of N targets of F tips: T (N, F, 4, 4), twists V and accelerations A (N, m)."""
+    made = new_samples(*T.shape[:2])
+    made.T[:], made.V[:], made.A[:] = T, V, A
+    return made
 
 
 def new_record(N: int, n: int, m: int) -> Record:

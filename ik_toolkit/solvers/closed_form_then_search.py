@@ -5,16 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import (
-    BAD_TARGET,
-    CONVERGED,
-    ITERATION_LIMIT,
-    LIMIT_BLOCKED,
-    SINGULAR,
-    STALLED,
-    UNREACHABLE,
-)
-from ..kernel.records import ANSWER, AT, HEAD, ORDER, PAST
+from ..kernel.checks import CODE
+from ..kernel.records import AT, ORDER, SIZE
 from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
@@ -24,7 +16,7 @@ COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, length: float) -> np.ndarray:
-    """Return the squared error (N,) of result rows (N, ANSWER + n); a position error of `length` [m] counts as much as 1 rad."""
+    """Return the squared error (N,) of result rows (N, SIZE.answer + n); a position error of `length` [m] counts as 1 rad."""
     return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
 
@@ -37,7 +29,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
     and is replaced by the status of the search. Its q is the best configuration found.
     """
     robot = plan.robot
-    silent = np.empty((0, PAST + robot.n))
+    silent = np.empty((0, SIZE.past + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
@@ -63,11 +55,11 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
-            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, PAST + robot.n)
+            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, SIZE.past + robot.n)
         closed(rows, ends, seeds, feat, T, Q0, out, opt, hist)
-        if len(out) == 1 and out[0, AT.status] == CONVERGED:
+        if len(out) == 1 and out[0, AT.status] == CODE.converged:
             return
-        failed = np.flatnonzero((out[:, AT.status] != CONVERGED) & (out[:, AT.status] < BAD_TARGET))
+        failed = np.flatnonzero((out[:, AT.status] != CODE.converged) & (out[:, AT.status] < CODE.bad_target))
         if not len(failed):
             return
         usual, once, held = searches()
@@ -76,8 +68,8 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             start[:, joint] = value
         if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
             return  # A joint is held outside its limits, so a search cannot find anything.
-        ended = np.array(out[failed, ANSWER:])
-        kinds = (int(opt[HEAD]),)
+        ended = np.array(out[failed, SIZE.answer :])
+        kinds = (int(opt[SIZE.orders]),)
         # With one target the closed form has written one row of history; with more targets there is no history.
         given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without q0 the start is home
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
@@ -85,7 +77,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
             fixed = next(iter(held), -1)
             for k in failed[open_][still]:
-                if out[k, AT.status] != UNREACHABLE:
+                if out[k, AT.status] != CODE.unreachable:
                     into_tolerances(plan, rows, ends, T[k], opt, fixed, out[k])
 
     return loop
@@ -103,16 +95,21 @@ def into_tolerances(
 
     robot = plan.robot
     rng = np.random.default_rng(plan.options.seed)
-    starts = np.array([row[ANSWER:], *(robot.random_q(rng) for _ in range(STARTS))])
+    starts = np.array([row[SIZE.answer :], *(robot.random_q(rng) for _ in range(STARTS))])
     if fixed >= 0:
-        starts[:, fixed] = row[ANSWER + fixed]
+        starts[:, fixed] = row[SIZE.answer + fixed]
     q = np.empty(robot.n)
     left = opt[ORDER.evaluations] - row[AT.evaluations]
     position, rotation, evaluations = first_good(rows, ends, opt, T, starts, fixed, STEPS, left, q)
     row[AT.evaluations] += evaluations
     if position < np.inf:
-        row[ANSWER:] = q
-        row[AT.status], row[AT.position], row[AT.rotation], row[AT.excess] = CONVERGED, position, rotation, SEARCHED
+        row[SIZE.answer :] = q
+        row[AT.status], row[AT.position], row[AT.rotation], row[AT.excess] = (
+            CODE.converged,
+            position,
+            rotation,
+            SEARCHED,
+        )
 
 
 def continue_with(
@@ -124,7 +121,7 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search for the targets T (M, 4, 4), whose rows in out (N, ANSWER + n) are `failed` (M,), from start (1 or M, n).
+    """Search for the targets T (M, 4, 4), whose rows in out (N, SIZE.answer + n) are `failed` (M,), from start (1 or M, n).
 
     `how` has the kinds of target, and whether the starts are given (see Plan.run). If evaluations are limited, each
     search gets those that its row has left. Returns whether each row (M,) stays unsolved.
@@ -136,8 +133,8 @@ def continue_with(
         if budget is not None:
             left = budget - int(out[rows[0], AT.evaluations])
             if left <= 0:
-                if out[rows[0], AT.status] == STALLED:
-                    out[rows[0], AT.status] = ITERATION_LIMIT
+                if out[rows[0], AT.status] == CODE.stalled:
+                    out[rows[0], AT.status] = CODE.iteration_limit
                 continue
             plan = search.varied(max_evaluations=left)
         found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
@@ -147,25 +144,25 @@ def continue_with(
         else:
             plan.run(T[some], how[0], starts, how[1], found)
         # The row may keep the status of the closed form, so q must be the closest configuration, however this search ended.
-        ended = (STALLED, LIMIT_BLOCKED, UNREACHABLE, ITERATION_LIMIT, SINGULAR)
+        ended = (CODE.stalled, CODE.limit_blocked, CODE.unreachable, CODE.iteration_limit, CODE.singular)
         finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)
-        still[some] = found[:, AT.status] != CONVERGED
+        still[some] = found[:, AT.status] != CODE.converged
     return still
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float) -> None:
-    """Write what the search found (len(failed), ANSWER + n) into the rows `failed` of out (N, ANSWER + n), see `with_search`."""
+    """Write what the search found, one row a failed one, into the rows `failed` of out (N, SIZE.answer + n), see `with_search`."""
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
-    solved = found[:, AT.status] == CONVERGED
-    open_ = rows[:, AT.status] == STALLED
+    solved = found[:, AT.status] == CODE.converged
+    open_ = rows[:, AT.status] == CODE.stalled
     better = solved | (error_size(found, length) < error_size(rows, length))
-    rows[better, ANSWER:] = found[better, ANSWER:]
+    rows[better, SIZE.answer :] = found[better, SIZE.answer :]
     for place in (AT.position, AT.rotation, AT.attempt):
         rows[better, place] = found[better, place]
     taken = solved | open_
     rows[taken, AT.status] = found[taken, AT.status]
-    rows[taken, AT.excess] = np.where(found[:, AT.status] == UNREACHABLE, found[:, AT.excess], SEARCHED)[taken]
+    rows[taken, AT.excess] = np.where(found[:, AT.status] == CODE.unreachable, found[:, AT.excess], SEARCHED)[taken]
     rows[:, COUNTS] = counts
     out[failed] = rows

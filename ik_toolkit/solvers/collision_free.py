@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.checks import CONVERGED
-from ..kernel.records import ANSWER, AT
+from ..kernel.checks import CODE
+from ..kernel.records import AT, SIZE
 from ..robot.geometry.collision import CollisionModel
 from .options import AVOID, PLAIN, avoided
 from .status import Status
@@ -52,14 +52,14 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
 
     def step(outcome: Any) -> Any:
-        if outcome.row[AT.status] != CONVERGED:
+        if outcome.row[AT.status] != CODE.converged:
             return outcome
         n = plan.robot.n
-        if model.collides(outcome.row[ANSWER : ANSWER + n]):
+        if model.collides(outcome.row[SIZE.answer : SIZE.answer + n]):
             outcome = _another(single, model, outcome)
         for improve in then:
             better = improve(outcome)
-            if not model.collides(better.row[ANSWER : ANSWER + n]):
+            if not model.collides(better.row[SIZE.answer : SIZE.answer + n]):
                 outcome = better
         return outcome
 
@@ -83,7 +83,7 @@ def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarra
 def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
     """Return the outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
     o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
-    q = slice(ANSWER, ANSWER + robot.n)
+    q = slice(SIZE.answer, SIZE.answer + robot.n)
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)
@@ -97,7 +97,7 @@ def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
         row[AT.iterations] += out[:, AT.iterations].sum()
         row[AT.evaluations] += out[:, AT.evaluations].sum()
         row[AT.restarts] += len(out)
-        out = out[out[:, AT.status] == CONVERGED]
+        out = out[out[:, AT.status] == CODE.converged]
         away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
             if not model.collides(out[k, q]):

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.jit import cached, inline
-from ..kernel.checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR, STALLED, UNREACHABLE
+from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
-from ..kernel.elimination.terms import CERTAIN
-from ..kernel.records import ANSWER, AT, WEIGHTS, copy
+from ..kernel.elimination.terms import VERDICT
+from ..kernel.records import AT, SIZE, copy
 from .closed_form.elimination import STEPS, N, forms_of, into_limits, solutions_of
 from .closed_form.nearest import choose
 from .options import Options
@@ -26,7 +26,7 @@ from .registry import GENERAL, find_row
 from .status import DECIDED, NEAREST
 from .task import POSES
 
-OPEN = (STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR)  # statuses that prove nothing
+OPEN = (CODE.stalled, CODE.iteration_limit, CODE.limit_blocked, CODE.singular)  # statuses that prove nothing
 # Options that the decision by elimination respects; with any other option the search continues without it.
 HONOURED = {
     "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
@@ -121,7 +121,7 @@ def _take(made, row):
     row[AT.status], row[AT.excess] = made[AT.status], DECIDED
     row[AT.position], row[AT.rotation] = made[AT.position], made[AT.rotation]
     for i in range(N):
-        row[ANSWER + i] = made[ANSWER + i]
+        row[SIZE.answer + i] = made[SIZE.answer + i]
 
 
 @cached
@@ -153,7 +153,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         row, start = out[t], Q0[t]
         copy(start, bounds[2])
         count, near = int(found[t, 0, 0]), int(found[t, 0, 7])
-        certain = found[t, 0, 1] == CERTAIN and near >= 0
+        certain = found[t, 0, 1] == VERDICT.certain and near >= 0
         Q = found[t, 1 : 1 + count + max(near, 0), :N].copy()
         excess = np.empty_like(Q)
         into_limits(Q.copy(), bounds, Q, excess)
@@ -167,20 +167,20 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             far, told = far and known, told and (known or worst == 0.0)
             if k < count and worst == 0.0:
                 least = min(least, _apart(Q[k], start))
-        if row[AT.status] == CONVERGED:
-            copy(row[ANSWER : ANSWER + N], legal[kept])
+        if row[AT.status] == CODE.converged:
+            copy(row[SIZE.answer : SIZE.answer + N], legal[kept])
             kept += 1
         made = row.copy()
         if kept:
             choose(rows, ends[0], T[t], legal[:kept], STEPS, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
-            if made[0] == CONVERGED:
+            if made[0] == CODE.converged:
                 _take(made, row)
-                if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
+                if same > 0.0 and certain and told and _apart(row[SIZE.answer :], start) <= least + same:
                     row[AT.excess] = NEAREST
                 continue
             certain = certain and not _beside(made, terms)
-        if row[AT.status] == CONVERGED or not certain or not far:
+        if row[AT.status] == CODE.converged or not certain or not far:
             continue
         if count == 0 and near > 0:
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
@@ -193,17 +193,17 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             now = (row[AT.position] / length) ** 2 + row[AT.rotation] ** 2
             if (made[AT.position] / length) ** 2 + made[AT.rotation] ** 2 < now:
                 _take(made, row)
-        row[0], row[AT.excess] = LIMIT_BLOCKED if count > 0 else UNREACHABLE, DECIDED
+        row[0], row[AT.excess] = CODE.limit_blocked if count > 0 else CODE.unreachable, DECIDED
     enough, unsure = NEAREST if same > 0.0 else DECIDED, False
     for t in range(T.shape[0]):
         excess = out[t, AT.excess]
-        unsure |= excess != enough and (excess != DECIDED or out[t, AT.status] == CONVERGED)
+        unsure |= excess != enough and (excess != DECIDED or out[t, AT.status] == CODE.converged)
     return unsure
 
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Return the first arguments of `binding.answers`: the orderings of the loop, and the array (52,) that describes the arm."""
-    p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
+    p = exact.orders(POSES, True)[SIZE.weights + N :].copy()
     return forms_of(p.tobytes()), p
 
 
@@ -218,7 +218,7 @@ class Deciding(Plan):
     @functools.cached_property
     def open(self) -> tuple[int, ...]:
         """The statuses with which the short search leaves a target to the elimination."""
-        return (*OPEN, CONVERGED) if self.options.closest else OPEN
+        return (*OPEN, CODE.converged) if self.options.closest else OPEN
 
     @functools.cached_property
     def exact(self) -> Plan:
@@ -266,11 +266,11 @@ class Deciding(Plan):
         if not decide_rows(rows, ends, T, found, box, starts, orders, terms, made):
             return
         unsure = made[:, AT.excess] != (NEAREST if self.options.closest else DECIDED)
-        (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CONVERGED)))
+        (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CODE.converged)))
         rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
         self.run(T[still], kinds, starts, given, rest)
-        far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts, axis=1) for rows in (rest, made[still])]
-        taken = (made[still, AT.status] != CONVERGED) | (rest[:, AT.status] == CONVERGED) & (far[0] < far[1])
+        far = [np.linalg.norm(rows[:, SIZE.answer : SIZE.answer + N] - starts, axis=1) for rows in (rest, made[still])]
+        taken = (made[still, AT.status] != CODE.converged) | (rest[:, AT.status] == CODE.converged) & (far[0] < far[1])
         made[still[taken]] = rest[taken]
 
     def _fixed(self, given: bool) -> tuple[Any, ...]:
@@ -303,7 +303,7 @@ class Deciding(Plan):
 
     def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
-        said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
+        said = solutions_of(self.exact.orders(POSES, True)[SIZE.weights + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)
         return ListedSolutions(q, excess, said.certificate)
@@ -312,7 +312,7 @@ class Deciding(Plan):
 def blocked(result: Any) -> Blocked | None:
     """Return the solution that breaks its limits least, if a result is certified to have none that keeps them."""
     of = result._of
-    if of.row[AT.excess] != DECIDED or of.row[AT.status] != LIMIT_BLOCKED:
+    if of.row[AT.excess] != DECIDED or of.row[AT.status] != CODE.limit_blocked:
         return None
     found = of.plan.list_at(of.T[0], of.start[0])
     worst = found.excess.max(axis=1)

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CONVERGED
-from ..kernel.records import ANSWER, AT
+from ..kernel.checks import CODE
+from ..kernel.records import AT, SIZE
 from .closed_form.geometry import Family
 from .options import PLAIN
 from .outcome import SPOKEN
@@ -57,8 +57,8 @@ def search_solutions(
         Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
         Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
-    out = out[out[:, AT.status] == CONVERGED]
-    answers = out[:, ANSWER : ANSWER + n]
+    out = out[out[:, AT.status] == CODE.converged]
+    answers = out[:, SIZE.answer : SIZE.answer + n]
     turning, limited = turning_joints(plan)
     near = start[0, turning] + np.remainder(answers[:, turning] - start[0, turning] + np.pi, 2 * np.pi) - np.pi
     if limited:
@@ -147,9 +147,9 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
-    moved = np.abs(out[:, ANSWER : ANSWER + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
+    moved = np.abs(out[:, SIZE.answer : SIZE.answer + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
+    another = (out[:, AT.status] == CODE.converged) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()
     joints = (moved[another] > 1e-2 * THRESHOLDS.stride).any(axis=0)

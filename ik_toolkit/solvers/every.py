@@ -7,9 +7,9 @@ import numpy as np
 
 from ..errors import InvalidOption, whole
 from ..kernel.checks import is_rigid
-from ..kernel.counted_error import AXIS, POSITION
+from ..kernel.counted_error import AXIS, KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import WEIGHTS
+from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
 from ..validate import switch
 from .closed_form.elimination import certificate_of, into_limits, solutions_of
@@ -199,7 +199,7 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
         free = np.full(robot.n, np.inf)
         lower, upper = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
         box = np.vstack([lower, upper, robot.home, 1.0 / robot.chain.unit**2])
-        kept[kinds] = (opt, opt[WEIGHTS + robot.n :], box)
+        kept[kinds] = (opt, opt[SIZE.weights + robot.n :], box)
     return kept[kinds]
 
 
@@ -233,7 +233,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     message = inside if plan.options.limits else f"{found} branches{made.words}"
     if kept < legal:
         message += f", {kept} of which meet the tolerances"
-    orientation = None if kinds == (POSITION,) else table[:, 1]
+    orientation = None if kinds == (KIND.position,) else table[:, 1]
     families = made.families if kept else ()
     complete = made.complete and (kept == legal or made.certificate is None)
     if families:
@@ -285,7 +285,7 @@ def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
     robot, (counts, *others) = plan.robot, what_counts(plan.robot, plan.options)
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
-    if kinds == (POSITION,):
+    if kinds == (KIND.position,):
         # the position needs three free rotations: any three axes in general position
         return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None
     if kinds == POSES:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import FAR_AWAY
-from ..kernel.counted_error import FREE, POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT
+from ..kernel.records import AT, SIZE
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, length
 from .decide import blocked
@@ -150,7 +150,11 @@ def _advice(result: Any) -> str:
     """Say what to try after a failed search; a pose that limits block may also ask for less, a position alone cannot."""
     of, advice = result._of, ADVICE[result.status]
     less = result.status == Status.LIMIT_BLOCKED and of.plan.options.priority is None
-    return f"{advice}, or {ASK_LESS}" if less and any(kind not in (FREE, POSITION) for kind in of.kinds) else advice
+    return (
+        f"{advice}, or {ASK_LESS}"
+        if less and any(kind not in (KIND.free, KIND.position) for kind in of.kinds)
+        else advice
+    )
 
 
 def _outside(result: Any) -> str:
@@ -159,7 +163,7 @@ def _outside(result: Any) -> str:
     if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
         return ""
     row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
-    q = row[ANSWER : ANSWER + robot.n]
+    q = row[SIZE.answer : SIZE.answer + robot.n]
     turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
     q = q - TAU * turns
     over = np.maximum(robot.lower - q, q - robot.upper)
@@ -224,7 +228,7 @@ def _at_each_tip(result: Any) -> str:
     left = [
         f"{tip} {_said(*errors, unit).replace(',', '')}"
         for tip, kind, errors in zip(result.robot.tips, result._of.kinds, each, strict=True)
-        if kind != FREE
+        if kind != KIND.free
     ]
     return f"; remaining error at each tip: {', '.join(left)}"
 
@@ -293,7 +297,7 @@ def impossible(result: Any) -> list[str]:
         free, of_base = kind[1] if isinstance(kind, tuple) else one.free_turn, False
         if free is None and angles.sum() == 2:  # a mask or slack frees the turn about one axis
             free, of_base = np.where(angles, 0.0, 1.0), one.frame == "base"
-        if kind == FREE or o.relative_to or not first:
+        if kind == KIND.free or o.relative_to or not first:
             continue
         turned = GROUPS[1] in first and angles.sum() >= 2
         weights = np.array(one.mask or (1.0,) * 6).reshape(2, 3)
@@ -338,15 +342,15 @@ def position_alone(result: Any, turned: bool) -> str:
     turned: whether another sentence already tells the orientation error, which is then left out.
     """
     of = result._of
-    if of.kinds != (POSE,) or not of.T.size or of.plan.options.in_part:
+    if of.kinds != (KIND.pose,) or not of.T.size or of.plan.options.in_part:
         return ""
     plan = of.plan.search(
         mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, max_evaluations=None, timeout=None, follow=0.0,
         closest=False, objective=None, history=False, avoid_collisions=False,
     )  # fmt: skip
-    q = of.row[ANSWER : ANSWER + result.robot.n]
+    q = of.row[SIZE.answer : SIZE.answer + result.robot.n]
     row = plan.solve(of.T, of.kinds, q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[ANSWER : ANSWER + len(q)], of.T, of.kinds, plan.options)
+    ((raw, _, _),) = all_errors(result.robot, row[SIZE.answer : SIZE.answer + len(q)], of.T, of.kinds, plan.options)
     if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
         return ""
     if turned:

@@ -19,9 +19,7 @@ PLAIN: dict[str, Any] = {
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
 SLICE = 256  # evaluations in the first run of a solve with a timeout, about 0.25 ms; after each run the clock is read
 FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may move this far
-# The objectives have these numbers in kernel/null_space.py.
-OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
-WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
+WORDS = {"objective": ("mid-range", "reference", "manipulability"), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # names of options in other packages, each with a message that says what to use here
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }

@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..kernel.counted_error import FREE, POSITION
-from ..kernel.records import ANSWER, AT, MISS
+from ..kernel.counted_error import KIND
+from ..kernel.records import AT, SIZE
 from .plan import Plan
 
 # Position error [m] and rotation angle [rad] (None if it is free) of each tip.
 Errors = list[tuple[float, float | None]]
-SPOKEN = (POSITION, FREE)  # kinds of target that leave the orientation free
+SPOKEN = (KIND.position, KIND.free)  # kinds of target that leave the orientation free
 
 
 class SolveRecord(NamedTuple):
@@ -64,7 +64,7 @@ class SolveRecord(NamedTuple):
         return [float(self.row[AT.excess])] if len(self.kinds) == 1 else self._misses()[:, 2].tolist()
 
     def _misses(self) -> np.ndarray:
-        return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
+        return self.row[SIZE.answer + self.plan.robot.n :].reshape(-1, SIZE.miss)
 
 
 # A call of this function is 0.2 microseconds faster than one of the class.

@@ -13,10 +13,10 @@ import numpy as np
 from ..copying import importable
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
 from ..kernel.chain import split_rows, table, without_limits, without_wrap
-from ..kernel.counted_error import POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.limits import LARGEST
 from ..kernel.packed_model import join
-from ..kernel.records import ANSWER, AT, MISS, PAST, POINTS, Orders
+from ..kernel.records import AT, POINTS, SIZE, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
 from .options import PLAIN, Options
@@ -61,7 +61,7 @@ class Plan:
         self.kernel = with_search(self, loop) if row.closed else loop
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
-        self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
+        self.width = SIZE.answer + robot.n + SIZE.miss * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # cache for callers that store derived data with the plan
@@ -150,9 +150,9 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the result row (width,) of one target T (1, ...) and its history (at most `count` rows of PAST + n numbers)."""
+        """Return the result row (width,) of one target T (1, ...) and its history, at most `count` rows of SIZE.past + n."""
         chain, orders = ready
-        out = np.empty(self.width + count * (PAST + self.robot.n))
+        out = np.empty(self.width + count * (SIZE.past + self.robot.n))
         self.kernel(chain, T, start, out, orders)
         row, history = out[: self.width], out[self.width :].reshape(count, -1)
         return row, history[: int(row[AT.history])]
@@ -186,7 +186,7 @@ class Plan:
 
         In every start of `seeds` the held joints have the values of the first row of `start`.
         """
-        found = self._table(kinds[0] == POSITION)
+        found = self._table(kinds[0] == KIND.position)
         if self._plain:
             return found
         at = (start[0] / self.robot.chain.unit)[self.held]
@@ -229,7 +229,7 @@ class Plan:
         iterations = max(length.iterations, FOLLOW_ITERATIONS) if o.follow else length.iterations
         give_up = length.give_up if attempts > 1 and o.max_iterations is None else None
         c, rho, c_free, rho_free = give_up or NEVER
-        own_starts = self._table(kinds[0] == POSITION) is not self.chain
+        own_starts = self._table(kinds[0] == KIND.position) is not self.chain
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,

@@ -13,17 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, PAST
+from ..kernel.checks import CODE
+from ..kernel.records import AT, SIZE
 from ..robot.pose import check_target
-from .options import OBJECTIVES
 from .status import DECIDED, Status, constraints_of
-from .task import POSE, counted_errors, group_levels
+from .task import POSES, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
 FEW = 20  # number of attempts, without limits and with them, that test whether limits keep the arm from a target
 # statuses of failures whose q is moved to the closest configuration nearby
-ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)
+ENDED = (CODE.stalled, CODE.limit_blocked, CODE.unreachable)
 
 
 class Limits(NamedTuple):
@@ -92,18 +91,18 @@ def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bo
     target.
     """
     for k, row in enumerate(rows):
-        if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
+        if row[AT.status] == CODE.limit_blocked and plan.options.limits and row[AT.excess] != DECIDED:
             asked = T[k : k + 1], kinds, start[k : k + 1], given
-            blocked = plan.unlimited.solve(*asked)[AT.status] == CONVERGED
+            blocked = plan.unlimited.solve(*asked)[AT.status] == CODE.converged
             few = row[AT.restarts] + 1 < FEW  # A search of at least FEW attempts has made these attempts already.
-            if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CONVERGED):
-                row[AT.status] = STALLED
+            if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CODE.converged):
+                row[AT.status] = CODE.stalled
     if plan.descends:
         _descend(plan, T, kinds, start, given, rows)
     for row in rows:
-        if row[AT.status] == LIMIT_BLOCKED and row[AT.excess] != DECIDED and plan.descends:
-            if not plan.robot.at_limits(row[ANSWER : ANSWER + plan.robot.n]):
-                row[AT.status] = STALLED
+        if row[AT.status] == CODE.limit_blocked and row[AT.excess] != DECIDED and plan.descends:
+            if not plan.robot.at_limits(row[SIZE.answer : SIZE.answer + plan.robot.n]):
+                row[AT.status] = CODE.stalled
 
 
 def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
@@ -124,11 +123,11 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
     if o.length_scale is None or len(plan.held):
         return
     for q in (start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)):
-        made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CONVERGED
-        made[:, ANSWER : ANSWER + robot.n] = q
+        made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CODE.converged
+        made[:, SIZE.answer : SIZE.answer + robot.n] = q
         lower(made, left)
         rows[:, AT.evaluations] = made[:, AT.evaluations]
-        better = before & ((left < least) | (made[:, AT.status] == CONVERGED))
+        better = before & ((left < least) | (made[:, AT.status] == CODE.converged))
         least[better], rows[better] = left[better], made[better]
 
 
@@ -149,7 +148,7 @@ def extend(outcome: Any) -> Any:
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
-    while row[AT.status] != CONVERGED and row[AT.evaluations] >= made:
+    while row[AT.status] != CODE.converged and row[AT.evaluations] >= made:
         allowed = int(min(MOST.growth * made, (left - perf_counter() + began) / pace))
         if allowed <= made:
             break
@@ -169,25 +168,25 @@ def record(outcome: Any) -> Any:
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
     history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)[1]
     last = outcome.row
-    q = last[ANSWER : ANSWER + plan.robot.n]
-    if not (history[:, PAST:] == q).all(axis=1).any():
+    q = last[SIZE.answer : SIZE.answer + plan.robot.n]
+    if not (history[:, SIZE.past :] == q).all(axis=1).any():
         history = np.vstack([history, [last[AT.position], last[AT.rotation], last[AT.attempt], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
     # Rows of a closed form and of the search after it all count as attempt 0.
     attempt = history[:, 2].astype(int) * (not plan.row.closed)
-    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, PAST:]}
+    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, SIZE.past :]}
     return outcome._replace(history=columns | {"attempt": attempt})
 
 
 def improve(outcome: Any) -> Any:
     """Improve the objective of a solution by motion in the null space; the row gets the better q and its evaluated errors."""
-    from ..kernel.null_space import refine
+    from ..kernel.null_space import OBJECTIVE, refine
 
     plan, row = outcome.plan, outcome.row
-    if row[AT.status] != CONVERGED:
+    if row[AT.status] != CODE.converged:
         return outcome
-    row, what = row.copy(), OBJECTIVES[plan.options.objective]
+    row, what = row.copy(), getattr(OBJECTIVE, plan.options.objective.replace("-", "_"))
     orders = plan.orders(outcome.kinds, outcome.given)
     refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, MOST.improving)
     return outcome._replace(row=row)
@@ -197,11 +196,11 @@ def confirm(outcome: Any) -> Any:
     """Compute the errors again with Pinocchio; a success that it does not confirm becomes a failure."""
     plan, kinds = outcome.plan, outcome.kinds
     n = plan.robot.n
-    errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
+    errors = counted_errors(plan.robot, outcome.row[SIZE.answer : SIZE.answer + n], outcome.T[0], kinds, plan.options)
     outcome = outcome._replace(errors=errors)
-    if outcome.row[AT.status] != CONVERGED or inside(errors, plan):
+    if outcome.row[AT.status] != CODE.converged or inside(errors, plan):
         return outcome
-    if kinds == (POSE,):
+    if kinds == POSES:
         # A target rotation that is orthonormal only to 1e-6 is replaced by the nearest exact one before the angle is measured.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
@@ -211,7 +210,7 @@ def confirm(outcome: Any) -> Any:
                 again = step(again)
             return again
     row = outcome.row.copy()
-    row[AT.status] = CHECK_FAILED
+    row[AT.status] = CODE.check_failed
     return outcome._replace(row=row)
 
 
@@ -224,8 +223,8 @@ def keep_constraints(outcome: Any) -> Any:
 def mark_open(plan: Any, rows: np.ndarray) -> None:
     """Set the status CONSTRAINT_OPEN in converged rows (m, width) whose q breaks a constraint of the robot's description."""
     if plan.robot.constraints:
-        for k in np.flatnonzero(rows[:, AT.status] == CONVERGED):
-            if not constraints_of(plan.robot, rows[k, ANSWER : ANSWER + plan.robot.n], plan.options).holds:
+        for k in np.flatnonzero(rows[:, AT.status] == CODE.converged):
+            if not constraints_of(plan.robot, rows[k, SIZE.answer : SIZE.answer + plan.robot.n], plan.options).holds:
                 rows[k, AT.status] = Status.CONSTRAINT_OPEN
 
 

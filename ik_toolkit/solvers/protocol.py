@@ -15,7 +15,7 @@ import numpy as np
 
 from ..compile.jit import compiled
 from ..errors import IKError, InvalidOption, UnknownSolver
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.search import entry
 from .closed_form.geometry import Branches, Fit
 from .closed_form.nearest import nearest_of
@@ -33,18 +33,18 @@ SHOWN = 16  # number of samples of a self-motion that an explanation shows
 class Asked:
     """The task of a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
 
-    Kinds are those of kernel.counted_error: POSE, POSITION, FREE, or a pair (AXIS, axis).
+    Kinds are those of `kernel.counted_error.TargetKinds`, or a pair (AXIS, axis).
     """
 
     robot: Any
-    kinds: tuple = (POSE,)
+    kinds: tuple = (KIND.pose,)
     given: bool = True
     options: Options = field(default_factory=Options)
 
     @property
     def position_only(self) -> bool:
         """Whether the target of every tip is a position."""
-        return all(kind == POSITION for kind in self.kinds)
+        return all(kind == KIND.position for kind in self.kinds)
 
     @property
     def span(self) -> np.ndarray:
@@ -265,7 +265,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
         return "has all errors at one level, so it takes no priority; leave the solver out"
     if row.moves_all and o.joint_weights is not None and 0.0 in o.joint_weights:
         return f"moves every joint, so it cannot hold one (joint weight 0); use '{GENERAL}'"
-    for kind, word, solved in ((POSITION, "positions", row.position), (POSE, "poses", row.pose)):
+    for kind, word, solved in ((KIND.position, "positions", row.position), (KIND.pose, "poses", row.pose)):
         if kind in asked.kinds and not solved:
             return f"does not solve {word}: {row.handles}"
     return solver.refuses(asked)

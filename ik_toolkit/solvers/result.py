@@ -6,8 +6,8 @@ import numpy as np
 
 from ..copying import ReadOnly
 from ..errors import InvalidConfiguration, InvalidTarget, NotSolved
-from ..kernel.counted_error import FREE, POSE, POSITION
-from ..kernel.records import ANSWER, AT
+from ..kernel.counted_error import KIND
+from ..kernel.records import AT, SIZE
 from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
@@ -60,7 +60,7 @@ class Result(ReadOnly):
     @property
     def q(self) -> np.ndarray:
         """Joint values (n,) [rad or m]; the best configuration evaluated if the solve failed."""
-        return self._of.row[ANSWER : ANSWER + self._of.plan.robot.n]
+        return self._of.row[SIZE.answer : SIZE.answer + self._of.plan.robot.n]
 
     @property
     def status(self) -> Status:
@@ -281,7 +281,7 @@ class Result(ReadOnly):
         """
         self.raise_for_status()
         of, robot = self._of, self.robot
-        if of.kinds not in ((POSE,), (POSITION,)) or of.plan.options.in_part:
+        if of.kinds not in ((KIND.pose,), (KIND.position,)) or of.plan.options.in_part:
             raise InvalidTarget("a derivative exists for a whole pose or a position of one tip")
         J = robot.chain.forward(self.q, jacobian=True)[1][0][: 3 if self.position_only else 6]
         weight = np.ones(len(J))
@@ -353,7 +353,8 @@ class Result(ReadOnly):
         }
         each = zip(self.robot.tips, self._of.kinds, self._of.left(), strict=True)
         tips = {
-            tip: {"position_error": None if kind == FREE else p, "orientation_error": r} for tip, kind, (p, r) in each
+            tip: {"position_error": None if kind == KIND.free else p, "orientation_error": r}
+            for tip, kind, (p, r) in each
         }
         return {**plain, "tips": tips} if len(tips) > 1 else plain
 

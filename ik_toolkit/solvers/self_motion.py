@@ -16,10 +16,10 @@ import numpy as np
 
 from ..compile.jit import cached, compiled, inline
 from ..kernel.elimination.binding import answers, make_arm, make_forms
-from ..kernel.elimination.terms import CERTAIN
+from ..kernel.elimination.terms import VERDICT
 from ..kernel.kinematics import TAU, aim
 from ..kernel.null_space import Bounds, direction
-from ..kernel.records import HEAD, Orders, copy, read
+from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.serial import make_serial
 from .closed_form.geometry import Screws, read_revolute
 from .plan import Plan
@@ -163,7 +163,7 @@ def follow(rows, ends, opt, T, seeds, seen, first, out):
     receives the curve forwards and backwards, each from the seed on. Returns the numbers of points (2,), and why the curve ends in
     each direction (2,), see `MotionEnd`.
     """
-    p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
+    p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
     counts, stops = np.zeros(2, np.int64), np.full(2, -1)
     places, vectors = np.zeros((3, N)), np.zeros((7, N))
@@ -236,7 +236,7 @@ def first_direction(p, box, y, v, start):
 @cached
 def cross(rows, ends, opt, T, a, b, i, value, y):
     """Write to y (7,) the point between the neighbours a and b on a curve where joint i has `value`; return its share of a to b."""
-    p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
+    p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
     low, high = 0.0, 1.0
     for _ in range(FOLLOWING.halvings):
@@ -348,7 +348,7 @@ def _slicings(plan: Plan) -> list[Slicing]:
     for joint, others in ((N - 1, slice(0, N - 1)), (0, slice(1, N))):
         arm = make_arm(screws.axis[others], screws.point[others], screws.T)
         forms = make_forms(arm)
-        if len(forms) and (answers(forms, arm, T)[:, 0, 1] == CERTAIN).mean() > 0.5:
+        if len(forms) and (answers(forms, arm, T)[:, 0, 1] == VERDICT.certain).mean() > 0.5:
             found.append(Slicing(joint, screws, arm, forms))
     return found
 

@@ -15,8 +15,8 @@ import numpy as np
 from ..compile.jit import compile_time
 from ..copying import ReadOnly
 from ..errors import InvalidOption
-from ..kernel.checks import BAD_TARGET, CONVERGED
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.checks import CODE
+from ..kernel.counted_error import KIND
 from ..kernel.records import AT
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
@@ -74,7 +74,7 @@ class Solver(ReadOnly):
             solver, auto = owner, False
         self._plans: dict[tuple, Plan] = {}  # plans for the kinds of target that self.plan does not serve
         if auto:
-            chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
+            chosen = {kind: automatic(robot, kind, options) for kind in (KIND.pose, KIND.position)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
         self.plan = make_plan(robot, search_for(options.get("priority")) if auto else solver, options)
         if auto and POSES not in self._plans and (decides := deciding(self.plan)):
@@ -133,8 +133,8 @@ class Solver(ReadOnly):
         row = plan.solve(T, kinds, start, given)
         # The compiled search rejected the input, which is now corrected, or refused with a message.
         status = row[AT.status]
-        if status >= BAD_TARGET:
-            if status == BAD_TARGET:
+        if status >= CODE.bad_target:
+            if status == CODE.bad_target:
                 T, kinds, notice = read_target(self.robot, target)
             if given:
                 start, note = plan.check_start(q0)
@@ -146,11 +146,11 @@ class Solver(ReadOnly):
         if elapsed > 1e-3:  # [s] only calls that compile, or load compiled code, take longer than this
             elapsed -= (waited := compile_time(started))
         outcome = make_outcome((plan, T.tobytes(), kinds, asked, row, elapsed, notice, None, None, None, waited))
-        if status != CONVERGED:
+        if status != CODE.converged:
             outcome = finish_failure(outcome)
         for step in plan.steps:
             outcome = step(outcome)
-        if plan.steps or status != CONVERGED:
+        if plan.steps or status != CODE.converged:
             waited = compile_time(started)
             outcome = outcome._replace(elapsed=perf_counter() - started - waited, compile_time=waited)
         return Result(outcome)
@@ -242,7 +242,7 @@ def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None
-    fitting = (name for kind in (POSE, POSITION) if (name := fits(robot, kind)))
+    fitting = (name for kind in (KIND.pose, KIND.position) if (name := fits(robot, kind)))
     return next((name for name in fitting if names & set(find_row(name).load()._fields)), None)
 
 

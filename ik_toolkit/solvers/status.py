@@ -26,7 +26,7 @@ class Status(enum.IntEnum):
       open by more than the tolerance; the message says by how much.
     """
 
-    # Code on result rows compares with the constants of kernel/checks.py, because numpy takes microseconds to compare an enum.
+    # Code on result rows compares with the numbers `CODE` of kernel/checks.py: to compare an enum takes numpy microseconds.
     CONVERGED = 0
     STALLED = 1
     ITERATION_LIMIT = 2

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, near_match
-from ..kernel.counted_error import AXIS, FREE, PART, POSE, POSITION
+from ..kernel.counted_error import AXES, AXIS, KIND
 from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
 from ..robot.ros import is_by_name
-from .options import COUNTING, FRAMES, GROUPS, Options
+from .options import COUNTING, GROUPS, Options
 
-POSES = (POSE,)  # the kinds of target if a single tip has a pose as target
-WHOLE = frozenset((POSE, POSITION))
+POSES = (KIND.pose,)  # the kinds of target if a single tip has a pose as target
+WHOLE = frozenset((KIND.pose, KIND.position))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
 
@@ -49,7 +49,7 @@ def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
         every.append([value.get(tip, default) if isinstance(value, Mapping) else value for tip in robot.tips])
     counts = tuple(Counts(*one) for one in zip(*every, strict=True))
     for tip, one in zip(robot.tips, counts, strict=True):
-        if one.slack is not None and not any(_counting(one, POSE)):
+        if one.slack is not None and not any(_counting(one, KIND.pose)):
             raise InvalidOption(
                 f"{_at(robot, tip)}slack {one.slack} leaves nothing that counts; leave the tip out instead"
             )
@@ -112,11 +112,11 @@ def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
 
 def _counting(counts: Counts, kind: Any) -> np.ndarray:
     """Return whether each of a tip's six errors counts (6,), for a kind of target."""
-    if kind == FREE:
+    if kind == KIND.free:
         return np.zeros(6, dtype=bool)
     rows = np.array(counts.mask or ALL) > 0.0
     rows &= np.array(counts.slack or NONE) < (*(math.inf,) * 3, *(math.pi,) * 3)
-    if kind == POSITION:
+    if kind == KIND.position:
         rows[3:] = False
     elif (counts.free_turn is not None or isinstance(kind, tuple)) and rows[3:].all():
         rows[5] = False
@@ -135,12 +135,12 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         strict=True,
     )
     for tip, kind, counts, other, ends in given:
-        if kind == FREE:
-            tasks.append(Task(FREE, 0.0, -1.0, 0.0, *NONE[:3], *NONE))
+        if kind == KIND.free:
+            tasks.append(Task(KIND.free, 0.0, -1.0, 0.0, *NONE[:3], *NONE))
             continue
         axis = free_axis(counts, kind, _at(robot, tip))
         weights = counts.mask or ALL
-        if kind == POSITION:
+        if kind == KIND.position:
             _require_position(counts, _at(robot, tip))
             weights = (*weights[:3], *NONE[3:])
         slack = np.array(counts.slack or NONE)
@@ -152,7 +152,7 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
             frame = "target"
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
         tasks.append(
-            Task(kind if plain else PART, FRAMES.index(frame), other, axis is not None, *turn, *weights, *slack)
+            Task(kind if plain else KIND.part, getattr(AXES, frame), other, axis is not None, *turn, *weights, *slack)
         )
     return tasks
 
@@ -165,7 +165,7 @@ def _at(robot: Any, tip: str) -> str:
 def free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
     """Return the tip axis about which rotation is free, from the options or an AxisTarget, or None."""
     if not isinstance(kind, tuple):
-        return None if kind == POSITION else counts.free_turn
+        return None if kind == KIND.position else counts.free_turn
     if counts.free_turn is not None:
         raise InvalidOption(f"{at}an axis target frees the turn about its axis; leave free_turn out")
     return kind[1]
@@ -186,7 +186,7 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     """Validate a target; return T (1, 4, 4), for several tips (1, F, 4, 4), its kinds, one per tip, and a notice.
 
     The target is T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; for several tips a dict by tip of these,
-    or a list in the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a
+    or a list in the order of `robot.tips`. A kind is KIND.pose, KIND.position, (AXIS, axis), or KIND.free for a tip left out of a
     dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
     if not robot.by_tip and not is_by_name(target):
@@ -196,7 +196,7 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     made = [_read_tip(tip, one, robot.base) for tip, one in zip(tips, _in_order(robot, target), strict=True)]
     T = np.array([one[0] for one in made]).reshape(1, *robot.pose_shape)
     kinds = tuple(one[1] for one in made)
-    if all(kind == FREE for kind in kinds):
+    if all(kind == KIND.free for kind in kinds):
         raise InvalidTarget(f"give a target for at least one of {', '.join(tips)}")
     notice = "; ".join(f"{tip}: {one[2]}" for tip, one in zip(tips, made, strict=True) if one[2])
     return T, kinds, notice
@@ -219,7 +219,7 @@ def _in_order(robot: Any, targets: Any) -> list[Any]:
 
 def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
     if target is None:
-        return np.eye(4), FREE, ""
+        return np.eye(4), KIND.free, ""
     try:
         return read_one(target, base)
     except InvalidTarget as error:
@@ -234,10 +234,10 @@ def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
         raise InvalidTarget(f"a target must be a pose or a position, not the text {target!r}")
     checked, notice = check_target(target, base)
     if checked.ndim == 2:
-        return checked, POSE, notice
+        return checked, KIND.pose, notice
     T = np.eye(4)
     T[:3, 3] = checked
-    return T, POSITION, notice
+    return T, KIND.position, notice
 
 
 # ------------------------------------------------------------------------------------------------------ Pinocchio's check
@@ -251,7 +251,7 @@ def counted_errors(
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)
-        return [arm._errors(q[at], one[:3, 3] if kind == POSITION else one) for arm, at, one, kind in given]
+        return [arm._errors(q[at], one[:3, 3] if kind == KIND.position else one) for arm, at, one, kind in given]
     return [(position, orientation) for _, position, orientation in all_errors(robot, q, T, kinds, o)]
 
 
@@ -267,11 +267,11 @@ def all_errors(
     for pose, one, kind, counts, other in zip(
         poses, T.reshape(-1, 4, 4), kinds, what_counts(robot, o), relatives(robot, o), strict=True
     ):
-        if kind == FREE:
+        if kind == KIND.free:
             found.append((np.full(6, np.nan), 0.0, None))
             continue
         posed = one if other < 0 else poses[other] @ one
-        target = posed[:3, 3] if kind == POSITION else posed
+        target = posed[:3, 3] if kind == KIND.position else posed
         axis = free_axis(counts, kind)
         found.append(errors(pose, target, mask=counts.mask, slack=counts.slack, free_turn=axis, frame=counts.frame))
     return found

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, floats, whole
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
 from ..solvers.batch.solve_batch import solve_batch
@@ -70,7 +70,7 @@ class Matrices:
 def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
     """Return the matrices that a state-space solver uses for a robot. Raises InvalidOption if they do not fit the robot."""
     made = rule.resolve(robot, position_only)
-    numbers = made.pack(robot, Asked(robot, (POSITION if position_only else POSE,)))
+    numbers = made.pack(robot, Asked(robot, (KIND.position if position_only else KIND.pose,)))
     n, m, count = robot.n, int(numbers[0]), int(numbers[1])
     parts = np.split(numbers[HEAD + n :], np.cumsum([m * m, n * m]))
     table = parts[2].reshape(count, -1)
@@ -210,7 +210,7 @@ def analyse(
     rows = 3 if positions else 6
     # Errors that no joint can change, as those out of a planar arm's plane, are left out: a reachable target has none.
     unit = np.array([robot.chain.scale] * 3 + [1.0] * 3)[:rows, None]
-    span = Asked(robot, (POSITION if positions else POSE,)).span[:rows]
+    span = Asked(robot, (KIND.position if positions else KIND.pose,)).span[:rows]
     J = (span / unit).T @ robot.chain.forward(Q, jacobian=True)[1][:, :rows]
     chosen = made.nearest(robot, Q)
     r, m, a = J.shape[1], len(made.A), float(made.A[0, 0]) if len(made.A) else 0.0
@@ -250,7 +250,7 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
         InvalidConfiguration: q does not fit the robot.
     """
     require_one_tip(robot, "the gain margin")
-    span = Asked(robot, (POSITION,)).span[:3]
+    span = Asked(robot, (KIND.position,)).span[:3]
     r = span.shape[1]
     signs = np.array(list(product((1.0,), *[(1.0, -1.0)] * (r - 1)))).T
     J = span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]

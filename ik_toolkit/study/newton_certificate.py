@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, floats, whole
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..kernel.records import POINTS
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
@@ -166,7 +166,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     switch(limits, "limits")
     T, kinds, _ = read_target(robot, target)
     asked = Asked(robot, kinds)
-    if kinds[0] not in (POSE, POSITION):
+    if kinds[0] not in (KIND.pose, KIND.position):
         raise InvalidOption("newton_certificate takes whole poses and positions; an axis target leaves a turn free")
     if not robot.chain.plain:
         raise InvalidOption(f"newton_certificate takes no mimic joints, which robot '{robot.name}' has")
@@ -186,7 +186,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     slides, runs = (robot.chain.rows[:, 9] == 0.0).any(), int(turning[-1].sum())
     L = np.zeros_like(beta)
     L[:, 0] = _position_constant(robot, Q, 2.0 * eta, turning)
-    if kinds[0] == POSE and runs > 1:  # With one run of parallel axes log(R R*') is linear in q.
+    if kinds[0] == KIND.pose and runs > 1:  # With one run of parallel axes log(R R*') is linear in q.
         L[known, 1] = _rotation_constant((angle + np.sqrt(runs) * 2.0 * eta)[known], runs)
     L *= 1.0 + ALLOW.share
     omega = (beta * L).sum(axis=1)

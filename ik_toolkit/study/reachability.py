@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import IKError, InvalidOption, Portable, check_progress, whole
 from ..files import PARTIAL, as_output, require_place
-from ..kernel.counted_error import POSE, POSITION
+from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
 from ..robot.rotation import angles_between
 from ..robot.tree import require_one_tip
@@ -115,7 +115,7 @@ def reachability(
     tried_again = grid.answers if full else whole(audit, "audit (or 'full')", 0)
     require_memory(grid, robot.n)
     solver = Solver(robot, "auto", **options)
-    plan = solver.plan_for((POSITION if grid.rotations is None and grid.poses is None else POSE,))
+    plan = solver.plan_for((KIND.position if grid.rotations is None and grid.poses is None else KIND.pose,))
     # If the options narrow the limits, the solver has a variant of the robot with these limits.
     robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:

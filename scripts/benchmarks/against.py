@@ -36,7 +36,7 @@ def make_item(name: str, robot_name: str):
     import numpy as np
 
     import ik_toolkit as ik
-    from ik_toolkit.kernel.counted_error import POSE
+    from ik_toolkit.kernel.counted_error import KIND
 
     count = COUNTS.get(name, 100)
     rng = np.random.default_rng(3)
@@ -59,7 +59,7 @@ def make_item(name: str, robot_name: str):
         return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0, **clip), 2000, lambda: (0, 0)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(count)])
     solver = ik.Solver(robot, "lm" if name in ("lanes", "python") else name)
-    run, arrays, orders, home, width = parts_of(solver, POSE)
+    run, arrays, orders, home, width = parts_of(solver, KIND.pose)
     out = np.zeros((count, width))
     rows = lambda: (float((out[:, 0] == 0).mean()), float(out[:, 1].mean()))  # noqa: E731
     if name == "lanes":

@@ -12,8 +12,8 @@ import common
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.counted_error import POSE
-from ik_toolkit.kernel.records import ANSWER
+from ik_toolkit.kernel.counted_error import KIND
+from ik_toolkit.kernel.records import SIZE
 from ik_toolkit.solvers.closed_form import inspection, reach
 
 TARGETS = 2000
@@ -41,12 +41,12 @@ def kernel_works(arm: ik.Robot, Q: np.ndarray, T: np.ndarray) -> dict[str, tuple
         inspection.wrist_pose(p, pose, row)
     a4, a6 = p[inspection.A4], p[inspection.A6]
     lifts, near, sols = Q[:, 1].copy(), np.zeros(6), np.empty((8, 6))
-    out = np.empty((len(T), ANSWER + arm.n))
+    out = np.empty((len(T), SIZE.answer + arm.n))
     home = arm.home[None].copy()
 
     def solve(rule: ik.Inspection, start: np.ndarray) -> Callable[[], object]:
         plan = ik.Solver(arm, rule).plan
-        return lambda: plan.run(T, (POSE,), start, True, out)
+        return lambda: plan.run(T, (KIND.pose,), start, True, out)
 
     return {
         "kernel: 8 branches at a lift": (lambda: reach.many_branches(P, lifts, a4, a6, near, sols), len(T)),

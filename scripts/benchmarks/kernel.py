@@ -15,8 +15,8 @@ import pinocchio as pin  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.kernel.chain import forward_kinematics  # noqa: E402
-from ik_toolkit.kernel.counted_error import POSE  # noqa: E402
-from ik_toolkit.kernel.records import ANSWER  # noqa: E402
+from ik_toolkit.kernel.counted_error import KIND  # noqa: E402
+from ik_toolkit.kernel.records import SIZE  # noqa: E402
 from ik_toolkit.kernel.simd_search import lanes  # noqa: E402
 
 UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"
@@ -31,13 +31,13 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
     poses, J, none = np.empty((count, 4, 4)), np.empty((count, 6, robot.n)), np.empty((0, 6, robot.n))
     frame = model.getFrameId(robot.tip, pin.FrameType.BODY)
     solver = ik.Solver(robot)
-    out = np.empty((count, ANSWER + robot.n))
+    out = np.empty((count, SIZE.answer + robot.n))
     plan = ik.Solver(robot).plan
-    arrays, orders = plan.arrays((POSE,), plan.home), plan.orders((POSE,), False)
+    arrays, orders = plan.arrays((KIND.pose,), plan.home), plan.orders((KIND.pose,), False)
     targets = list(T)
 
     def solve() -> None:
-        plan.run(T, (POSE,), plan.home, False, out)
+        plan.run(T, (KIND.pose,), plan.home, False, out)
 
     solve()
     iterations = out[:, 1].sum()

@@ -14,7 +14,7 @@ from time import perf_counter  # noqa: E402
 import numpy as np  # noqa: E402
 
 from ik_toolkit.compile.jit import cached  # noqa: E402
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, Allowed, StepTaken, TaskRate, constrain, make_room  # noqa: E402
+from ik_toolkit.servo.constrained_step import MODE, Allowed, StepTaken, TaskRate, constrain, make_room  # noqa: E402
 
 ROWS = 12
 SAMPLES = 40  # consecutive problems, each slightly different from the previous one, as in a run
@@ -22,12 +22,12 @@ INNER = 50  # steps per timing: a call from Python costs some microseconds
 REPEATS = 15  # the minimum of these is a step's own time: background load only adds
 # Mode, speed limits over what the task needs (0: the wanted motion fits), number of half-planes.
 CASES = {
-    "x_want fits": (LEAVE, 0.0, 0),
-    "leave": (LEAVE, 0.3, 0),
-    "direct": (DIRECT, 0.3, 0),
-    "leave, 12 half-planes": (LEAVE, 0.3, ROWS),
-    "direct, 12 half-planes": (DIRECT, 0.3, ROWS),
-    "nearly everything binds": (DIRECT, 0.03, ROWS),
+    "x_want fits": (MODE.leave, 0.0, 0),
+    "leave": (MODE.leave, 0.3, 0),
+    "direct": (MODE.direct, 0.3, 0),
+    "leave, 12 half-planes": (MODE.leave, 0.3, ROWS),
+    "direct, 12 half-planes": (MODE.direct, 0.3, ROWS),
+    "nearly everything binds": (MODE.direct, 0.03, ROWS),
 }
 
 

@@ -7,7 +7,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.records import ANSWER, AT, PAST
+from ik_toolkit.kernel.records import AT, SIZE
 from ik_toolkit.kernel.search import entry
 from ik_toolkit.solvers.rules.jacobian import LM
 from ik_toolkit.testing import CLAUSES, cases, check_solver
@@ -24,7 +24,7 @@ def moves_the_start(out, T, Q0, history):
 
 
 def leaves_the_limits(out, T, Q0, history):
-    out[:, ANSWER] = 100.0
+    out[:, SIZE.answer] = 100.0
 
 
 def understates_the_error(out, T, Q0, history):
@@ -41,7 +41,7 @@ def hides_success(out, T, Q0, history):
 
 def remembers(out, T, Q0, history):
     CALLS.append(0)
-    out[:, ANSWER:] += 1e-12 * len(CALLS)
+    out[:, SIZE.answer :] += 1e-12 * len(CALLS)
 
 
 def overspends(out, T, Q0, history):
@@ -57,7 +57,7 @@ def invents_history(out, T, Q0, history):
 
 
 def gives_no_number(out, T, Q0, history):
-    out[out[:, AT.status] != ik.Status.CONVERGED, ANSWER:] = np.nan
+    out[out[:, AT.status] != ik.Status.CONVERGED, SIZE.answer :] = np.nan
 
 
 def moves_held_joints(out, T, Q0, history):
@@ -87,8 +87,8 @@ class Faulty(NamedTuple):
 
         def loop(chain, T, Q0, out, orders):
             solve(chain, T, Q0, out, orders)
-            filled = len(T) * (ANSWER + robot.n)
-            spoil(out[:filled].reshape(len(T), -1), T, Q0, out[filled:].reshape(-1, PAST + robot.n))
+            filled = len(T) * (SIZE.answer + robot.n)
+            spoil(out[:filled].reshape(len(T), -1), T, Q0, out[filled:].reshape(-1, SIZE.past + robot.n))
 
         return loop
 

@@ -6,19 +6,19 @@ from constrained import Step, many, problem, some_rows
 from numba import config
 from scipy.optimize import linprog, lsq_linear
 
-from ik_toolkit.servo.constrained_step import CAUTIOUS, DIRECT, LEAVE, MET, RELAXED, SHORT, WANTED
+from ik_toolkit.servo.constrained_step import CAUTION, MODE, OUTCOME
 
 
 def test_a_rate_that_fits_is_returned_bit_for_bit():
     rng = np.random.default_rng(0)
-    for mode in (LEAVE, DIRECT):
+    for mode in (MODE.leave, MODE.direct):
         for _ in range(many(200)):
             J, v, low, high = problem(rng)
             want = rng.uniform(low, high)
             A = rng.normal(size=(3, len(low)))
             step = Step(J, low, high, (A, A @ want + rng.choice([1e-12, 1.0])), mode)
             x = step(J.T @ want, want)
-            assert step.status == WANTED
+            assert step.status == OUTCOME.wanted
             assert np.array_equal(x, want)
             assert not step.active.any() and not step.kept.any()
 
@@ -37,13 +37,13 @@ def test_inside_to_the_bit_and_always_solved():
         for _ in range(4):  # warm
             x = step(v, rng.normal(size=len(low)) * rng.choice([0.0, 1.0]))
             statuses.add(step.status)
-            assert step.status in (WANTED, MET, SHORT)
+            assert step.status in (OUTCOME.wanted, OUTCOME.met, OUTCOME.short)
             assert np.all((low <= x) & (x <= high))
             assert np.array_equal(x[step.active == -1], low[step.active == -1])
             assert np.array_equal(x[step.active == 1], high[step.active == 1])
             assert rows is None or np.all(rows[0] @ x <= rows[1] + 1e-10)
             v = v + 0.1 * rng.normal(size=6)
-    assert statuses >= {MET, SHORT}
+    assert statuses >= {OUTCOME.met, OUTCOME.short}
 
 
 def test_the_task_comes_first_and_the_wish_does_not_change_it():
@@ -79,28 +79,28 @@ def test_direction_is_kept_where_joints_are_too_slow():
         want = np.linalg.solve(J.T, v)
         share = np.min(size / np.abs(want))
         if share < 1.0:
-            x = {mode: Step(J, -size, size, mode=mode, scale=size)(v, want) for mode in (DIRECT, LEAVE)}
+            x = {mode: Step(J, -size, size, mode=mode, scale=size)(v, want) for mode in (MODE.direct, MODE.leave)}
             along = {mode: J.T @ one @ v / (v @ v) for mode, one in x.items()}
             aside = {mode: np.linalg.norm(J.T @ one - along[mode] * v) / np.linalg.norm(v) for mode, one in x.items()}
-            assert along[DIRECT] >= share - 1e-9
-            assert aside[DIRECT] <= (1.0 - share) / (2.0 * 100.0) + 1e-9  # where cost and gain are equal
-            bent.append((aside[DIRECT], aside[LEAVE]))
+            assert along[MODE.direct] >= share - 1e-9
+            assert aside[MODE.direct] <= (1.0 - share) / (2.0 * 100.0) + 1e-9  # where cost and gain are equal
+            bent.append((aside[MODE.direct], aside[MODE.leave]))
     assert np.median(bent, axis=0)[0] < 0.05 * np.median(bent, axis=0)[1]
 
 
 def test_a_blocked_direction_slides():
     J = np.array([[1.0, 0.0], [0.0, 1.0]])
-    step = Step(J, np.array([-1.0, -1.0]), np.array([0.0, 1.0]), mode=DIRECT)  # no way along x
+    step = Step(J, np.array([-1.0, -1.0]), np.array([0.0, 1.0]), mode=MODE.direct)  # no way along x
     x = step(np.array([0.5, 0.5]), np.array([0.5, 0.5]))
-    assert step.status == SHORT
+    assert step.status == OUTCOME.short
     np.testing.assert_allclose(x, [0.0, 0.5], atol=1e-12)
 
 
 def test_a_joint_that_cannot_stop_at_once_does_not_choose_the_direction():
     """No way along x, and y has to go on: that is no reason to leave y behind what is asked of it."""
-    step = Step(np.eye(2), np.array([-1.0, 0.3]), np.array([0.0, 0.5]), mode=DIRECT)
+    step = Step(np.eye(2), np.array([-1.0, 0.3]), np.array([0.0, 0.5]), mode=MODE.direct)
     x = step(np.array([1.0, 0.4]), np.array([1.0, 0.4]))
-    assert step.status == SHORT
+    assert step.status == OUTCOME.short
     np.testing.assert_allclose(x, [0.0, 0.4], atol=1e-12)
 
 
@@ -119,8 +119,8 @@ def test_half_planes_that_contradict_are_loosened_by_the_least():
         x = step(v, np.zeros(n))
         assert np.all((low <= x) & (x <= high))
         assert np.max(A @ x - b) <= found.x[-1] + 1e-8
-        assert (step.status == RELAXED) == (found.x[-1] > 1e-9)
-        seen += step.status == RELAXED
+        assert (step.status == OUTCOME.relaxed) == (found.x[-1] > 1e-9)
+        seen += step.status == OUTCOME.relaxed
     assert seen > many(20) // 5
 
 
@@ -133,7 +133,7 @@ def test_columns_that_do_not_count():
     np.testing.assert_allclose(one, two, atol=1e-12)
 
 
-@pytest.mark.parametrize("mode", [LEAVE, DIRECT])
+@pytest.mark.parametrize("mode", [MODE.leave, MODE.direct])
 def test_what_held_before_changes_the_way_but_not_the_answer(mode):
     rng = np.random.default_rng(12)
     ended = set()
@@ -151,13 +151,15 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
             np.testing.assert_allclose(other(ask, want), x, atol=1e-9)
             assert other.status == cold.status
         ended.add(cold.status)
-    assert ended == {MET, SHORT} or config.DISABLE_JIT  # the few cases of an uncompiled run end in some of them
+    assert (
+        ended == {OUTCOME.met, OUTCOME.short} or config.DISABLE_JIT
+    )  # the few cases of an uncompiled run end in some of them
 
 
 def test_what_is_missed_damps_the_motion():
     """|C y - d|^2 + mu |y|^2 with mu of what is missed undamped: here one joint of six may go half as fast as is asked."""
     high = np.array([0.5, *[2.0] * 5])
     x = Step(np.eye(6), -high, high, step=0.1)(np.ones(6), np.ones(6))
-    np.testing.assert_allclose(x, [0.5, *[1.0 / (1.0 + CAUTIOUS * 0.1 * 0.5)] * 5], atol=1e-9)
+    np.testing.assert_allclose(x, [0.5, *[1.0 / (1.0 + CAUTION.bend * 0.1 * 0.5)] * 5], atol=1e-9)
     x = Step(np.eye(6), -high, high, step=0.1, mu=0.3)(np.ones(6), np.zeros(6))
     np.testing.assert_allclose(x, [0.5, *[1.0 / 1.3] * 5], atol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 from constrained import Step, many, planar, problem, some_rows
 from scipy.optimize import lsq_linear
 
-from ik_toolkit.servo.constrained_step import CAUTIOUS, DIRECT, LEAVE, SHORT
+from ik_toolkit.servo.constrained_step import CAUTION, MODE, OUTCOME
 
 
 def test_a_residual_damps_the_motion():
@@ -20,7 +20,7 @@ def test_a_residual_damps_the_motion():
         x = eased(3.0 * v, np.zeros(7))
         assert eased.status == strict.status
         miss = (3.0 * v - J.T @ strict.x)[J.any(axis=0)]  # what no joint moves is not asked for
-        square = CAUTIOUS * 0.01 * np.linalg.norm(miss) if strict.status == SHORT else 0.0
+        square = CAUTION.bend * 0.01 * np.linalg.norm(miss) if strict.status == OUTCOME.short else 0.0
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
@@ -56,7 +56,7 @@ def test_a_damped_task_stays_damped_where_half_planes_contradict():
     assert sizes[1] < 0.2 * sizes[0]  # undamped, both were the same
 
 
-@pytest.mark.parametrize("mode", [LEAVE, DIRECT])
+@pytest.mark.parametrize("mode", [MODE.leave, MODE.direct])
 def test_the_arm_comes_to_rest_at_the_edge_of_its_ranges(mode):
     """Three links, joints at their limits, a target far out: the closest pose is reached, and then nothing moves."""
     h, gain = 0.01, 20.0

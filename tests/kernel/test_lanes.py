@@ -10,9 +10,9 @@ from numba import config, njit
 import ik_toolkit as ik
 from ik_toolkit.compile import simd
 from ik_toolkit.kernel.algebra import M3, V3, Blocks, Sym3, at3, put3, sincos
-from ik_toolkit.kernel.checks import CONVERGED
-from ik_toolkit.kernel.counted_error import POSE, POSITION
-from ik_toolkit.kernel.records import ANSWER, AT
+from ik_toolkit.kernel.checks import CODE
+from ik_toolkit.kernel.counted_error import KIND
+from ik_toolkit.kernel.records import AT, SIZE
 from ik_toolkit.kernel.simd_search import LEFT, lanes
 
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="vectors exist in compiled code only")
@@ -59,12 +59,12 @@ def test_the_blocks_solve_the_whole():
         np.testing.assert_allclose(y, np.linalg.solve(J @ J.T + 0.1 * np.eye(6), e), rtol=1e-9)
 
 
-def run(robot, T, kind=POSE, q0=None, **options):
+def run(robot, T, kind=KIND.pose, q0=None, **options):
     """Rows of the lanes and of the loop."""
     plan = ik.Solver(robot, "lm", **options).plan
     start = plan.home if q0 is None else np.atleast_2d(q0)
     opt = plan.orders((kind,), q0 is not None)
-    side, loop = np.zeros((len(T), ANSWER + robot.n)), np.zeros((len(T), ANSWER + robot.n))
+    side, loop = np.zeros((len(T), SIZE.answer + robot.n)), np.zeros((len(T), SIZE.answer + robot.n))
     lanes()(*plan.arrays((kind,), start), T, start, side, opt)
     plan.run(T, (kind,), start, q0 is not None, loop)
     return side, loop
@@ -72,9 +72,9 @@ def run(robot, T, kind=POSE, q0=None, **options):
 
 def correct(robot, rows, T, position_only=False, tolerance=1e-6):
     """Assert that converged rows are at their targets by Pinocchio, inside the limits, and say their errors."""
-    solved = np.flatnonzero(rows[:, AT.status] == CONVERGED)
+    solved = np.flatnonzero(rows[:, AT.status] == CODE.converged)
     for k in solved:
-        q = rows[k, ANSWER:]
+        q = rows[k, SIZE.answer :]
         assert not robot.outside(q)
         position, rotation = robot.errors(q, T[k, :3, 3] if position_only else T[k])
         assert position <= tolerance and abs(position - rows[k, AT.position]) < 1e-11
@@ -84,15 +84,20 @@ def correct(robot, rows, T, position_only=False, tolerance=1e-6):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [(name, kind) for name in ARMS for kind in (POSE, POSITION) if kind != POSE or name not in robots.PLANAR],
+    [
+        (name, kind)
+        for name in ARMS
+        for kind in (KIND.pose, KIND.position)
+        if kind != KIND.pose or name not in robots.PLANAR
+    ],
 )
 def test_answers_are_those_of_the_loop_in_all_but_choice(name, kind):
     robot = robots.load(name)
     T = robots.sample(robot, 300, seed=4)[1]
     side, loop = run(robot, T, kind)
-    solved = correct(robot, side, T, kind == POSITION)
-    assert set(side[:, AT.status]) <= {CONVERGED, LEFT}
-    assert len(solved) >= 0.98 * (loop[:, AT.status] == CONVERGED).sum()
+    solved = correct(robot, side, T, kind == KIND.position)
+    assert set(side[:, AT.status]) <= {CODE.converged, LEFT}
+    assert len(solved) >= 0.98 * (loop[:, AT.status] == CODE.converged).sum()
     counted = side[solved]
     assert (counted[:, AT.evaluations] >= counted[:, AT.iterations] + counted[:, AT.restarts] + 1).all()
     assert (counted[:, AT.evaluations] <= counted[:, AT.iterations] + counted[:, AT.restarts] + 2).all()
@@ -103,8 +108,8 @@ def test_a_start_at_the_solution_takes_no_step():
     robot = robots.load("panda")
     Q, T = robots.sample(robot, 50, seed=5)
     side, _ = run(robot, T, q0=Q)
-    assert (side[:, AT.status] == CONVERGED).all() and (side[:, AT.iterations] == 0).all()
-    assert np.abs(side[:, ANSWER:] - Q).max() < 1e-12
+    assert (side[:, AT.status] == CODE.converged).all() and (side[:, AT.iterations] == 0).all()
+    assert np.abs(side[:, SIZE.answer :] - Q).max() < 1e-12
 
 
 def test_endless_joints_come_back_at_the_turn_nearest_the_start():
@@ -113,8 +118,8 @@ def test_endless_joints_come_back_at_the_turn_nearest_the_start():
     wound = Q + 4 * math.pi * np.isinf(robot.upper)
     side, loop = run(robot, T, q0=wound)
     assert len(correct(robot, side, T)) == 50
-    np.testing.assert_allclose(side[:, ANSWER:], loop[:, ANSWER:], atol=1e-5)
-    assert np.abs(side[:, ANSWER:] - wound).max() < 1e-5
+    np.testing.assert_allclose(side[:, SIZE.answer :], loop[:, SIZE.answer :], atol=1e-5)
+    assert np.abs(side[:, SIZE.answer :] - wound).max() < 1e-5
 
 
 def test_what_needs_care_is_left_to_the_loop():
@@ -125,7 +130,7 @@ def test_what_needs_care_is_left_to_the_loop():
     T[13, :3, :3] *= 1.5
     side, _ = run(robot, T)
     assert (side[[3, 8, 13], AT.status] == LEFT).all() and (
-        np.delete(side[:, AT.status], [3, 8, 13]) == CONVERGED
+        np.delete(side[:, AT.status], [3, 8, 13]) == CODE.converged
     ).all()
 
 
@@ -135,8 +140,8 @@ def test_half_a_turn_off_is_no_answer():
     T[:, :3, :3] = T[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])
     side, loop = run(robot, T, q0=Q)
     solved = correct(robot, side, T)  # by a restart: about half of these poses can be reached at all
-    assert set(side[:, AT.status]) <= {CONVERGED, LEFT}
-    assert len(solved) >= 0.9 * (loop[:, AT.status] == CONVERGED).sum() > 20
+    assert set(side[:, AT.status]) <= {CODE.converged, LEFT}
+    assert len(solved) >= 0.9 * (loop[:, AT.status] == CODE.converged).sum() > 20
     alone, _ = run(robot, T, q0=Q, restarts=0)  # from the start itself the axis cannot be told: none is answered
     assert (alone[:, AT.status] == LEFT).all()
 
@@ -153,8 +158,8 @@ def test_one_attempt_is_one_attempt():
     robot = robots.load("panda")
     T = robots.sample(robot, 200, seed=10)[1]
     one, loop = run(robot, T, restarts=0, max_iterations=60)
-    assert (one[one[:, AT.status] == CONVERGED, AT.restarts] == 0).all()
-    assert 0.2 < (one[:, AT.status] == CONVERGED).mean() < 0.9 and (loop[:, AT.restarts] == 0).all()
+    assert (one[one[:, AT.status] == CODE.converged, AT.restarts] == 0).all()
+    assert 0.2 < (one[:, AT.status] == CODE.converged).mean() < 0.9 and (loop[:, AT.restarts] == 0).all()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import robots
 import trees
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.counted_error import AXIS, POSE, POSITION
+from ik_toolkit.kernel.counted_error import AXIS, KIND
 from ik_toolkit.paths.continuity import bounds, check, densify, interpolate_poses, settle_on_targets
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan
@@ -47,7 +47,7 @@ def plan_for(robot, **options):
 
 
 def kinds_of(robot, what):
-    kind = {"position": POSITION, "axis": (AXIS, (0.0, 0.0, 1.0))}.get(what, POSE)
+    kind = {"position": KIND.position, "axis": (AXIS, (0.0, 0.0, 1.0))}.get(what, KIND.pose)
     return (kind,) * len(robot.tips)
 
 
@@ -125,8 +125,8 @@ def test_the_bound_is_near_what_is_found():
         a = robot.random_q(rng)
         b = np.clip(a + rng.uniform(-0.05, 0.05, robot.n), robot.lower, robot.upper)
         T = np.array([[robot.fk(q).homogeneous] for q in (a, b)])
-        deviation, _ = bounds(plan, (POSE,), np.array([a, b]), np.arange(2.0), T)
-        ratios.append((deviation[0] - plan.options.position_tolerance) / sampled(robot, plan, (POSE,), a, b, T)[0])
+        deviation, _ = bounds(plan, (KIND.pose,), np.array([a, b]), np.arange(2.0), T)
+        ratios.append((deviation[0] - plan.options.position_tolerance) / sampled(robot, plan, (KIND.pose,), a, b, T)[0])
     assert np.median(ratios) < 3.0
 
 
@@ -141,7 +141,7 @@ def followed(plan, T):
     """Joints (N, n) along poses, each solved from the last."""
     q, rows = plan.robot.home[None], []
     for pose in T:
-        q, good = settle_on_targets(plan, (POSE,), q, pose[None])
+        q, good = settle_on_targets(plan, (KIND.pose,), q, pose[None])
         assert good.all()
         rows.append(q[0])
     return np.array(rows)
@@ -153,16 +153,16 @@ def test_poses_are_inserted_until_steps_and_bounds_hold():
     T = line_of(robot, 4, -0.15)
     q = followed(plan, T)
     step, tolerance = (np.radians(1.0), 0.02), (2e-5, np.radians(0.05))
-    curve, at, cut = densify(plan, (POSE,), q, T, [1], step, tolerance)
+    curve, at, cut = densify(plan, (KIND.pose,), q, T, [1], step, tolerance)
     assert cut.sum() == 1 and at[np.flatnonzero(cut)[0]] == 1.0  # nothing is inserted where the motion breaks
     np.testing.assert_array_equal(curve[at == np.round(at)], q)
     moves = np.abs(np.diff(curve, axis=0))[~cut]
     assert len(curve) > 10 and moves.max() <= step[0] * (1.0 + 1e-6)
-    proof = check(plan, (POSE,), curve, at, T, cut)
+    proof = check(plan, (KIND.pose,), curve, at, T, cut)
     assert proof.largest[0] <= tolerance[0] and proof.largest[1] <= tolerance[1]
     assert np.isnan(proof.deviation[cut]).all()
     for row, place in zip(curve, at, strict=True):
-        position, angle = robot.errors(row, interpolate_poses(T, np.array([place]), (POSE,))[0, 0])
+        position, angle = robot.errors(row, interpolate_poses(T, np.array([place]), (KIND.pose,))[0, 0])
         assert position <= 1e-6 and angle <= 1e-6
 
 
@@ -173,6 +173,6 @@ def test_a_stretch_that_no_motion_follows_stays_and_says_so():
     q = np.array([[0.5, 0.9, 0.0], [0.5, -0.9, 0.0]])
     T = np.array([[robot.fk(row).homogeneous] for row in q])
     T[1, 0] = T[0, 0]
-    curve, at, cut = densify(plan, (POSITION,), q, T, [], (0.12, 0.02), (1e-3, 0.02))
+    curve, at, cut = densify(plan, (KIND.position,), q, T, [], (0.12, 0.02), (1e-3, 0.02))
     assert len(curve) == 2 and not cut.any()
-    assert check(plan, (POSITION,), curve, at, T, cut).largest[0] > 1e-3
+    assert check(plan, (KIND.position,), curve, at, T, cut).largest[0] > 1e-3

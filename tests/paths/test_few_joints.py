@@ -5,7 +5,7 @@ import pytest
 from robots import few_joints, have_data, urdf
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.counted_error import POSE
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.motion.reference import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
 
@@ -48,7 +48,7 @@ def test_the_distance_from_the_interpolated_poses_is_bounded_and_told_apart():
     assert (proof.judged[1] <= made.path_tolerance[1]).all()
     for k in range(len(made.curve) - 1):
         places = made.at[k] + np.linspace(0.0, 1.0, 5) * (made.at[k + 1] - made.at[k])
-        goals = interpolate_poses(T[:, None], places, (POSE,))[:, 0]
+        goals = interpolate_poses(T[:, None], places, (KIND.pose,))[:, 0]
         rows = np.linspace(made.curve[k], made.curve[k + 1], 5)
         errors = np.array([robot.errors(q, goal) for q, goal in zip(rows, goals, strict=True)])
         assert errors[:, 0].max() <= proof.deviation[k] and errors[:, 1].max() <= proof.turn[k]

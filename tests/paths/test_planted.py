@@ -7,7 +7,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.counted_error import POSE
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.motion.reference import interpolate_poses
 from ik_toolkit.paths.exact_branches import every_solution
 from ik_toolkit.paths.path_problem import STEP, Problem
@@ -76,7 +76,9 @@ def test_what_is_called_the_fewest_is():
     while proven < 2:
         a = robot.random_q(rng)
         ends = [robot.fk(q).homogeneous for q in (a, a + rng.uniform(-1.5, 1.5, 6))]
-        T, fine = (interpolate_poses(np.array(ends)[:, None], np.linspace(0, 1, n), (POSE,))[:, 0] for n in (60, 591))
+        T, fine = (
+            interpolate_poses(np.array(ends)[:, None], np.linspace(0, 1, n), (KIND.pose,))[:, 0] for n in (60, 591)
+        )
         if not ik.solve_batch(robot, T).success.all():
             continue
         made = ik.solve_path(robot, T)
@@ -92,7 +94,7 @@ def test_a_track_that_ends_early_has_no_reason():
     """A continuation that gives up must not be taken for the end of a branch."""
     robot, rng = robots.load("continuous_mix"), np.random.default_rng(7)
     T = np.array([robot.fk(q).homogeneous for q in motion(robot, rng, 60)])
-    problem = Problem(ik.Solver(robot), T, (POSE,), STEP, TOLERANCE)
+    problem = Problem(ik.Solver(robot), T, (KIND.pose,), STEP, TOLERANCE)
     search = Search(problem, None, None, None, 1, 0, lambda *_: None)
     search.run()
     tracks = search.tracks

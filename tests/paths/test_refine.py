@@ -9,7 +9,7 @@ import trees
 
 import ik_toolkit as ik
 from ik_toolkit.compile.jit import jit
-from ik_toolkit.kernel.counted_error import POSE, POSITION
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.paths.continuity import settle_on_targets
 from ik_toolkit.paths.finish import smooth
 from ik_toolkit.paths.smoothing import band_cholesky, band_solve
@@ -58,7 +58,7 @@ def wavy(name, count=120):
             {"redundant": "inspection_7dof", "free turn": "hydrolek_7w", "position": "planar_3r"}[name]
         )
     options = {"free_turn": (0.0, 0.0, 1.0)} if name == "free turn" else {}
-    kinds = ((POSITION,) if name in ("position", "two arms") else (POSE,)) * len(robot.tips)
+    kinds = ((KIND.position,) if name in ("position", "two arms") else (KIND.pose,)) * len(robot.tips)
     t = np.linspace(0.0, 1.0, count)
     start = robot.home
     q = start + 0.25 * np.sin(np.pi * t)[:, None] * rng.uniform(-1.0, 1.0, robot.n)

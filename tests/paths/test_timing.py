@@ -11,7 +11,7 @@ import trees
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, NotSolved
-from ik_toolkit.kernel.counted_error import POSITION
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.paths.contact import connect
 from ik_toolkit.paths.continuity import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
@@ -84,10 +84,10 @@ def test_a_corner_is_rounded_within_the_tolerance():
 
     q, rows = robot.home[None], []
     for pose in T:
-        q, good = settle_on_targets(plan, (POSITION,), q, pose[None])
+        q, good = settle_on_targets(plan, (KIND.position,), q, pose[None])
         assert good.all()
         rows.append(q[0])
-    result = motions.as_result(robot, np.array(rows), kind=POSITION)
+    result = motions.as_result(robot, np.array(rows), kind=KIND.position)
     made = result.retime(1.0, 1.0)
     assert made.success and len(made.pieces) == 1 and made.deviation[0] <= 1e-3
     assert repr(made) == f"Trajectory({len(made.t)} samples, {made.duration:.4g} s, {robot.n} joints)"
@@ -131,7 +131,7 @@ def test_a_free_motion_goes_around_what_stands_between():
     q = np.vstack(
         [a + np.outer(np.linspace(-0.2, 0.0, 5), [1.0, 0.3]), b + np.outer(np.linspace(0.0, 0.2, 5), [1.0, 0.3])]
     )
-    made = motions.as_result(robot, q, breaks=[4], collision=model, kind=POSITION).retime(1.0, 1.0)
+    made = motions.as_result(robot, q, breaks=[4], collision=model, kind=KIND.position).retime(1.0, 1.0)
     assert made.success and made.clearance > 0.0
     assert not any(model.collides(row) for row in made.q)
 
@@ -141,7 +141,7 @@ def test_it_is_said_when_there_is_no_free_motion(monkeypatch):
     robot = ik.Robot.load(POST)
     model = ik.CollisionModel(robot).add_box((1.0, 0.1, 2.0), (0.5, 0.0, 0.0))
     q = np.array([[-0.6, 0.0], [-0.55, 0.0], [0.55, 0.0], [0.6, 0.0]])
-    made = motions.as_result(robot, q, breaks=[1], collision=model, kind=POSITION).retime(1.0, 1.0)
+    made = motions.as_result(robot, q, breaks=[1], collision=model, kind=KIND.position).retime(1.0, 1.0)
     assert not made.success and "no collision-free motion" in made.message and "pose 2" in made.message
     np.testing.assert_allclose(made.q[-1], q[1], atol=1e-9)
 
@@ -193,11 +193,11 @@ def test_poses_that_repeat_and_joints_at_their_limits_need_no_stop(name):
     robot = motions.load(name)
     q = np.repeat(motions.wave(robot, 20), 2, axis=0)
     q[:, 0] = np.minimum(q[:, 0] + 0.6 * (robot.upper[0] - q[:, 0].max()) + 0.05, robot.upper[0])
-    result = motions.as_result(robot, q, kind=POSITION)
+    result = motions.as_result(robot, q, kind=KIND.position)
     made = result.retime(1.0, 2.0)
     assert len(made.pieces) == 1 and "stops" not in made.message
     assert (made.at(np.linspace(0.0, made.duration, 5000))[0] <= robot.upper + 1e-9).all()
-    alone = motions.as_result(robot, q, breaks=[0], kind=POSITION).retime(1.0, 2.0)
+    alone = motions.as_result(robot, q, breaks=[0], kind=KIND.position).retime(1.0, 2.0)
     assert "stops" not in alone.message  # the first pose alone is a piece of its own, in which nothing moves
 
 

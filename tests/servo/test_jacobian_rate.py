@@ -10,7 +10,7 @@ from ik_toolkit.kernel import kinematics
 from ik_toolkit.kernel.algebra import at3
 from ik_toolkit.kernel.kinematics import fk, own_coordinates, room
 from ik_toolkit.kernel.problem import fill
-from ik_toolkit.kernel.records import TASK
+from ik_toolkit.kernel.records import SIZE
 from ik_toolkit.robot.robot import Robot
 
 
@@ -21,7 +21,7 @@ def _rate(rows, ends, q, x, y, out):
     joints, trig, J = np.empty(size), np.zeros(angles), np.empty((n, 6))
     now = fk(rows, q, joints, trig)
     tip = now.point + now.axes.times(at3(ends, 21))
-    fill(rows, own_coordinates(rows, n), np.zeros(TASK), np.empty(0), joints, tip, J, 0)
+    fill(rows, own_coordinates(rows, n), np.zeros(SIZE.task), np.empty(0), joints, tip, J, 0)
     kinematics.jacobian_rate(rows, joints, J, 0, tip, x, y, out)
 
 

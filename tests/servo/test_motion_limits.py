@@ -37,7 +37,7 @@ def motions(count, steps, seed):
             x = np.where(rng.random(count) < 0.7, side * 1e9, rng.normal(size=count))
             before = q.copy(), rate.copy()
             viability.advance(q, rate, x, gamma, h, late, limits, code)
-            assert not (code & viability.RECOVERING).any()
+            assert not (code & viability.BIT.recovering).any()
             yield limits, *before, q, rate, h, gamma
 
 
@@ -96,11 +96,11 @@ def test_a_joint_outside_its_limits_comes_back_without_turning_round():
         outside = [np.abs(q)]
         for _ in range(600):
             viability.advance(q, rate, np.array([9.0, 9.0, -9.0, 9.0]), gamma, 0.01, 0.05, limits, code)
-            assert ((code & viability.RECOVERING) > 0)[outside[-1] > 1.0 + 1e-12].all()
+            assert ((code & viability.BIT.recovering) > 0)[outside[-1] > 1.0 + 1e-12].all()
             outside.append(np.abs(q))
         excess = np.maximum(np.array(outside) - 1.0, 0.0)
         assert (np.diff(excess, axis=0) <= 0.0).all() and (excess[-1] <= 1e-12).all()
-        assert (np.abs(rate) <= 0.2).all() and not (code & viability.RECOVERING).any()
+        assert (np.abs(rate) <= 0.2).all() and not (code & viability.BIT.recovering).any()
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5, 0.6, 0.8])
@@ -120,7 +120,7 @@ def test_a_limit_that_falls_below_the_speed_is_met_with_full_deceleration():
     for k in range(30):
         viability.advance(q, rate, np.array([9.0]), 1.0, 0.01, 0.05, limits, code)
         assert rate[0] == pytest.approx(max(2.0 - 0.04 * (k + 1), 1.0), abs=1e-12)
-        assert bool(code[0] & viability.RECOVERING) == (k < 24)
+        assert bool(code[0] & viability.BIT.recovering) == (k < 24)
 
 
 @settings(max_examples=16, deadline=None, derandomize=True)

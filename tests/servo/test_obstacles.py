@@ -315,8 +315,8 @@ def test_a_run_stops_before_what_is_in_its_way(on_limit):
     T, model, targets = box_beside(robot)
     line = ik.line(T.translation, targets[-1], duration=2.0)
     result = ik.track(robot, line, dt=0.02, on_limit=on_limit, max_stretch=2, avoid_collisions=model)
-    assert not result.success and (result.limited & viability.ROW).any()
-    limits, contacts = ((result.limited & bits > 0).any(axis=1).sum() for bits in (7, viability.ROW))
+    assert not result.success and (result.limited & viability.BIT.row).any()
+    limits, contacts = ((result.limited & bits > 0).any(axis=1).sum() for bits in (7, viability.BIT.row))
     assert result.between == result.to_dict()["between"] and "box" in result.between
     pair = "between '{}' and '{}'".format(*result.between)
     assert f"A contact ahead {pair} held the robot back in {contacts} of {len(result.limited)} steps" in result.message

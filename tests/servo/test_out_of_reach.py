@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.servo.laws import STATE
 from ik_toolkit.servo.step import StepStatus
 from ik_toolkit.servo.tracker import Tracker
+from ik_toolkit.servo.workspace import STATE
 
 
 def slope_left(robot, q, target):

@@ -38,14 +38,15 @@ def test_a_step_reports_the_tip_that_is_farthest_off():
 def test_what_a_step_that_rests_says():
     turned = ((0.0, 0.0, 0.0, 0.0, 0.1, 0.0), (0.0,) * 6)
     singular, held, both = (
-        step(turned, *how) for how in (((0, 0), 1.0), ((viability.POSITION, 0),), ((viability.POSITION, 0), 1.0))
+        step(turned, *how)
+        for how in (((0, 0), 1.0), ((viability.BIT.position, 0),), ((viability.BIT.position, 0), 1.0))
     )
     assert [s.status for s in (singular, held, both)] == [StepStatus.AT_LIMIT] * 3
     assert "the arm reaches from here" in singular.reason and "the arm reaches from here" in both.reason
     assert "the limits allow" in held.reason and "position limit on turn" in held.reason
     slowly = step(turned, lost=1.0, rate=(5e-4, 0.0))
     assert slowly.status is StepStatus.AT_LIMIT, "it hardly moves"
-    assert step(turned, (viability.ROW, 0)).status is StepStatus.BLOCKED
+    assert step(turned, (viability.BIT.row, 0)).status is StepStatus.BLOCKED
     moving = step(turned, lost=1.0, rate=(0.01, 0.0))  # above what counts as rest
     assert moving.status is StepStatus.LIMITED and "hardly get nearer" in moving.reason
     assert step(turned, down=True, rate=(0.01, 0.0)).status is StepStatus.LIMITED

@@ -386,7 +386,7 @@ def test_several_tips():
     at = tree.fk(step.q)
     held = np.linalg.inv(at["left_tip"].homogeneous) @ at["right_tip"].homogeneous
     assert np.abs(held - between).max() < 1e-3 and step.status is StepStatus.OK
-    assert not (viability.HELD & step._outcome.code).any()
+    assert not (viability.BIT.held & step._outcome.code).any()
 
 
 def test_a_slowed_run_ends_without_a_jump(panda):

@@ -45,7 +45,7 @@ def test_completed_is_inside_all_the_time_and_on_time():
 
 def test_slowed_says_how_much_longer_and_which_joint_set_the_pace():
     limited = np.zeros((6, 2))
-    limited[2:4, 1] = viability.VELOCITY
+    limited[2:4, 1] = viability.BIT.velocity
     run = made([1e-4] * 7, sigma=[1, 0.9, 0.25, 0.25, 0.6, 1], pace=[-1, 0, 1, 1, 0, -1], limited=limited)
     assert run.status.name == "SLOWED" and run.success
     assert "0.2 s longer than its 0.4 s, limited by elbow (speed limit)" in run.message
@@ -77,7 +77,7 @@ def test_lost_is_outside_at_the_end(error, turn):
 
 def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
     limited = np.zeros((5, 2))
-    limited[2:, 0] = viability.POSITION
+    limited[2:, 0] = viability.BIT.position
     run = made([1e-4] * 6, sigma=[1, 1, 0, 0, 0], pace=[-1, -1, 0, 0, 0], limited=limited, end=0.5)
     assert run.status.name == "LOST" and not run.success
     assert "reached 0.2 of 0.5 s of the reference in 0.5 s, limited by shoulder (position limit)" in run.message

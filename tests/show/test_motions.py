@@ -7,7 +7,7 @@ from robots import CONTINUOUS
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration
-from ik_toolkit.kernel.counted_error import POSITION
+from ik_toolkit.kernel.counted_error import KIND
 
 pytest.importorskip("meshcat")
 from ik_toolkit.show.animation import motion_from_file, motion_of
@@ -15,7 +15,7 @@ from ik_toolkit.show.animation import motion_from_file, motion_of
 
 def result(breaks=()):
     robot = motions.load("planar_3r")
-    return motions.as_result(robot, motions.wave(robot, 30), breaks=breaks, kind=POSITION)
+    return motions.as_result(robot, motions.wave(robot, 30), breaks=breaks, kind=KIND.position)
 
 
 def test_a_path_is_shown_with_its_poses_and_its_bound():
@@ -35,7 +35,7 @@ def test_nothing_is_drawn_across_a_change_of_branch():
 
 def test_the_chart_of_a_path_draws_joints_without_limits_in_half_turns():
     robot = ik.Robot.load(CONTINUOUS)
-    path = motions.as_result(robot, motions.wave(robot, 30), kind=POSITION)
+    path = motions.as_result(robot, motions.wave(robot, 30), kind=KIND.position)
     drawn = {line.get_label(): line.get_ydata() for line in ik.plot(path).axes[0].lines}
     for i, name in enumerate(robot.joint_names):
         shown = path.curve[:, i] / (np.pi if np.isinf(robot.upper[i]) else 2.0)

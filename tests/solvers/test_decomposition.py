@@ -19,7 +19,7 @@ from ik_toolkit.kernel.elimination.subproblems import (
     solve_sum,
     square_on,
 )
-from ik_toolkit.kernel.elimination.terms import CERTAIN, FAMILY
+from ik_toolkit.kernel.elimination.terms import VERDICT
 from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute, solutions_of
 
 # Structures, with the axes (from 0) that are parallel, those that meet, and how many joints later the loop begins.
@@ -156,8 +156,8 @@ def test_branches_are_what_the_elimination_finds(kind):
         forms = make_forms(arm)
         assert forms[0, 3] == 0.0 and (forms[1:, 3] > 0.0).all()
         (split, a, found), (other, b, _) = ask(arm, Q, forms[:1]), ask(arm, Q, forms[1:])
-        assert (a == CERTAIN).all() and (found[:, 0, 2] == 0.0).all()
-        for q, one, two, sure in zip(Q, split, other, b == CERTAIN, strict=True):
+        assert (a == VERDICT.certain).all() and (found[:, 0, 2] == 0.0).all()
+        for q, one, two, sure in zip(Q, split, other, b == VERDICT.certain, strict=True):
             assert apart(one, q).min() < 1e-7 and all(
                 np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-9 for x in one
             )
@@ -192,9 +192,9 @@ def test_hard_targets_are_listed_and_none_is_lost_under_a_certificate(kind):
     for Q in (half, near, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (150, 6))):
         lists, verdicts, _ = ask(arm, Q, forms[:1])
         lost = np.array([not (len(one) and apart(one, q).min() < 1e-3) for one, q in zip(lists, Q, strict=True)])
-        assert not (lost & (verdicts == CERTAIN)).any()
-        assert (lost & (verdicts != FAMILY)).mean() <= 0.05 and (
-            (verdicts == CERTAIN) | (verdicts == FAMILY)
+        assert not (lost & (verdicts == VERDICT.certain)).any()
+        assert (lost & (verdicts != VERDICT.family)).mean() <= 0.05 and (
+            (verdicts == VERDICT.certain) | (verdicts == VERDICT.family)
         ).mean() > 0.8
 
 
@@ -217,8 +217,9 @@ def test_an_arm_that_is_a_little_off_is_certified_only_where_that_does_not_matte
         forms = make_forms(arm)
         assert forms[0, 3] == 0.0 and 0.1 * off < forms[0, 4] < 100.0 * off
         (split, a, _), (other, b, _) = ask(arm, Q, forms[:1]), ask(arm, Q, forms[1:])
-        unsure += (a != CERTAIN).sum()
-        for q, one, two, sure, both in zip(Q, split, other, a == CERTAIN, (a == CERTAIN) & (b == CERTAIN), strict=True):
+        certain = a == VERDICT.certain
+        unsure += (~certain).sum()
+        for q, one, two, sure, both in zip(Q, split, other, certain, certain & (b == VERDICT.certain), strict=True):
             assert not sure or apart(one, q).min() < 1e-3
             assert not both or (len(one) == len(two) and all(apart(two, x).min() < 1e-3 for x in one))
     assert unsure <= (2 if off < 1e-8 else 180)
@@ -253,7 +254,7 @@ def test_two_axes_on_one_line_are_never_certain(kind, first):
     arm = make_arm(lines[:, :3], lines[:, 3:], np.eye(4))
     Q = np.random.default_rng(6).uniform(-np.pi, np.pi, (50, 6))
     listed, verdict, _ = ask(arm, Q, make_forms(arm))
-    for some, certain, q in zip(listed, verdict == CERTAIN, Q, strict=True):
+    for some, certain, q in zip(listed, verdict == VERDICT.certain, Q, strict=True):
         assert not certain or (len(some) and apart(some, q).min() < 1e-3)
 
 
@@ -269,7 +270,7 @@ def test_an_angle_that_rounded_axes_leave_almost_free_adds_no_wrong_solutions():
     Q = rng.uniform(-np.pi, np.pi, (200, 6))
     Q[:, 2] = fold + rng.uniform(-3e-3, 3e-3, 200)
     listed, verdict, _ = ask(arm, Q, make_forms(arm))
-    assert (verdict == CERTAIN).mean() > 0.9  # the decomposition alone is sure of none of them
+    assert (verdict == VERDICT.certain).mean() > 0.9  # the decomposition alone is sure of none of them
     for q, some in zip(Q, listed, strict=True):
         assert all(np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-10 for x in some)
 

@@ -10,7 +10,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
-from ik_toolkit.kernel.elimination.terms import CERTAIN
+from ik_toolkit.kernel.elimination.terms import VERDICT
 
 ARMS = ["hydrolek_7w", "continuous_mix", "locked", *(["ur5", "z1", "kinova"] if robots.have_data() else [])]
 
@@ -62,7 +62,9 @@ def ask(arm, Q, forms=None):
     forms = make_forms(arm) if forms is None else forms
     found = answers(forms, arm, np.array([arm_tip(arm, q) for q in Q]))
     count, verdict, _, roots, complex_roots = found[:, 0, :5].T
-    assert (count == roots - complex_roots)[verdict == CERTAIN].all()  # every root that is not complex has its solution
+    assert (count == roots - complex_roots)[
+        verdict == VERDICT.certain
+    ].all()  # every root that is not complex has its solution
     return [one[1 : 1 + int(one[0, 0]), :6] for one in found], verdict
 
 
@@ -103,8 +105,8 @@ def test_planted_solutions_are_listed_and_certified(kind, most_open):
         arm = arm_of(kind, seed)
         lists, verdicts = ask(arm, Q)
         missing = lost(lists, Q, 1e-5)
-        assert missing.sum() <= 1 and not (missing & (verdicts == CERTAIN)).any()
-        assert (verdicts != CERTAIN).sum() <= most_open
+        assert missing.sum() <= 1 and not (missing & (verdicts == VERDICT.certain)).any()
+        assert (verdicts != VERDICT.certain).sum() <= most_open
         for one, q in zip(lists, Q, strict=True):
             goal = arm_tip(arm, q)
             assert all(np.abs(arm_tip(arm, x) - goal).max() < 1e-9 for x in one)
@@ -117,7 +119,7 @@ def test_two_ways_to_read_the_loop_give_the_same_solutions(kind):
     forms, both = make_forms(arm), 0
     assert len(forms) > 1 and (forms[0, :2] != forms[1, :2]).any()
     (first, a), (second, b) = ask(arm, Q, forms[:1]), ask(arm, Q, forms[1:2])
-    for one, other, sure in zip(first, second, (a == CERTAIN) & (b == CERTAIN), strict=True):
+    for one, other, sure in zip(first, second, (a == VERDICT.certain) & (b == VERDICT.certain), strict=True):
         if sure:
             both += 1
             assert len(one) == len(other) and all(apart(other, q).min() < 1e-6 for q in one)
@@ -138,16 +140,16 @@ def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
     straight[:, 4] = rng.choice([0.0, np.pi], 60) + np.repeat([0.0, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2], 10)
     for Q in (half, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (100, 6)), straight):
         lists, verdicts = ask(arm, Q, forms)
-        assert not (lost(lists, Q, 1e-3) & (verdicts == CERTAIN)).any()
+        assert not (lost(lists, Q, 1e-3) & (verdicts == VERDICT.certain)).any()
 
 
 def test_a_continuum_is_never_certified():
     Q = np.random.default_rng(9).uniform(-np.pi, np.pi, (40, 6))
-    assert (ask(arm_of("four parallel", 10), Q)[1] != CERTAIN).all()
+    assert (ask(arm_of("four parallel", 10), Q)[1] != VERDICT.certain).all()
     for kind in ("two wrists", "one point"):  # no way to read the loop is left
-        assert (ask(arm_of(kind, 10), Q)[1] != CERTAIN).all()
+        assert (ask(arm_of(kind, 10), Q)[1] != VERDICT.certain).all()
     Q[:, 4] = 0.0  # a straight wrist: joints 4 and 6 turn about one axis
-    assert (ask(arm_of("symmetric", 11), Q)[1] != CERTAIN).all()
+    assert (ask(arm_of("symmetric", 11), Q)[1] != VERDICT.certain).all()
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])

@@ -11,7 +11,7 @@ from serial_arms import apart
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.kernel.counted_error import POSE, POSITION
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.solvers.closed_form import fits, inspection, reach
 from ik_toolkit.text import length
 
@@ -256,7 +256,7 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
 
 def test_locked_lift_is_complete_and_agrees_with_restarts(arm):
     held = arm.locked({"lift": 0.3})
-    assert fits(held, POSE) == "inspection" and fits(arm, POSITION) is None
+    assert fits(held, KIND.pose) == "inspection" and fits(arm, KIND.position) is None
     T = held.fk(held.home + 0.1)
     exact = ik.solve_all(held, T, limits=False)
     search = ik.solve_all(held, T, "lm", limits=False)

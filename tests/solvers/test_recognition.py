@@ -10,7 +10,7 @@ from serial_arms import apart, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
-from ik_toolkit.kernel.counted_error import POSE, POSITION
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.solvers.closed_form import describe_fit, fits, inspection, planar_2r
 
 PI = math.pi
@@ -47,7 +47,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
     robot = ik.Robot.load(
         urdf(joints, ((l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))), tip="tip"
     )
-    assert fits(robot, POSITION) == "planar-2r" and fits(robot, POSE) is None
+    assert fits(robot, KIND.position) == "planar-2r" and fits(robot, KIND.pose) is None
     q = np.array([q1, q2])
     tip = robot.fk(q).translation
     found = ik.solve_all(robot, tip, q0=q)
@@ -87,7 +87,7 @@ def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, s
         joints.append(("continuous", where, turned, (0, 0, sign), -1.0, 1.0))
     # Flip axes 5 and 7 as whole frames too, and turn the tool anyhow.
     robot = ik.Robot.load(urdf(joints, (tool, tool_rpy)), tip="tip")
-    assert fits(robot, POSE) == "inspection", inspection.recognise(robot.chain)[1]
+    assert fits(robot, KIND.pose) == "inspection", inspection.recognise(robot.chain)[1]
     q = np.array(twist)
     place = 0 if lift_first else 1
     q[place] = 0.3 * slide
@@ -109,7 +109,7 @@ def test_what_does_not_fit_is_said_in_words(arm):
     }
     for words, text in wrong.items():
         robot = ik.Robot.load(text, tip="tip")
-        assert fits(robot, POSITION) is None
+        assert fits(robot, KIND.position) is None
         with pytest.raises(UnknownSolver, match=words):
             ik.solve(robot, [0.1, 0.0, 0.0], "planar-2r")
     robot = ik.Robot.load(urdf(panda_like, ((0.1, 0, 0), (0, 0, 0))), tip="tip")
@@ -132,7 +132,9 @@ def bent(angle):
 def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
     robot = bent(3e-5)
     assert (
-        fits(robot, POSITION) == "planar-2r" and "3e-05" in describe_fit(robot) and "exactly" in describe_fit(bent(0.0))
+        fits(robot, KIND.position) == "planar-2r"
+        and "3e-05" in describe_fit(robot)
+        and "exactly" in describe_fit(bent(0.0))
     )
     rng = np.random.default_rng(3)
     for _ in range(50):
@@ -142,7 +144,7 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
         assert not ik.solve_all(robot, robot.fk(q).translation, tolerance=1e-8).complete
     off = ik.solve(robot, [1.0, 0.5, 0.25])
     assert off.status not in (ik.Status.CONVERGED, ik.Status.UNREACHABLE)
-    assert fits(bent(1e-3), POSITION) is None
+    assert fits(bent(1e-3), KIND.position) is None
     with pytest.raises(UnknownSolver, match="not parallel"):
         ik.solve(bent(1e-3), [1.0, 0.5, 0.0], "planar-2r")
 
@@ -150,7 +152,7 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
 def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
     text = arm.urdf.replace("1.5707963267948966", "1.5708")
     robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
-    assert fits(robot, POSE) == "inspection" and "approximately" in describe_fit(robot)
+    assert fits(robot, KIND.pose) == "inspection" and "approximately" in describe_fit(robot)
     rng = np.random.default_rng(4)
     for held in (robot, robot.locked({"lift": 0.3})):
         Q = rng.uniform(held.lower, held.upper, (100, held.n))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import ik_toolkit as ik
 from ik_toolkit import errors
 
-FRAMES = ("base", "tip", "target")
+AXES = ("base", "tip", "target")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def some_options(rng):
     if not mask.any():
         mask[rng.integers(6)] = 1.0
     slack = np.where(rng.random(6) < 0.4, 0.0, rng.uniform(0.0, [0.1] * 3 + [0.5] * 3))
-    options = {"frame": str(rng.choice(FRAMES))}
+    options = {"frame": str(rng.choice(AXES))}
     options |= {"mask": mask} if rng.random() < 0.5 else {}
     options |= {"slack": slack} if rng.random() < 0.7 else {}
     options |= {"free_turn": rng.normal(size=3)} if rng.random() < 0.4 else {}
@@ -88,7 +88,7 @@ def test_the_columns_are_the_derivative(arm):
         mask = np.array([1, 1, 0, 1, 1, 0]) if k % 3 else None
         slack = None if k % 3 == 1 else [0, 0.02, 0, 0.1, 0, 0]
         axis = rng.normal(size=3) if k % 2 else None
-        given = {"mask": mask, "slack": slack, "free_turn": axis, "frame": FRAMES[k % 3]}
+        given = {"mask": mask, "slack": slack, "free_turn": axis, "frame": AXES[k % 3]}
         result = ik.solve(
             arm, T, "dls", q0=q, damping=1e-6, history=True, tolerance=1e-13, restarts=0, max_iterations=60, **given
         )
@@ -113,7 +113,7 @@ def test_the_answer_stops_at_the_edge_of_the_slack(arm):
 
 def test_infinite_slack_and_half_a_turn_free_what_a_mask_frees(arm):
     rng = np.random.default_rng(8)
-    for frame in FRAMES:
+    for frame in AXES:
         T = (
             arm.fk(arm.random_q(rng)).homogeneous
             @ pin.SE3(pin.exp3(np.array([0.3, 0.2, 2.9])), np.array([0.1, 0.0, 9.0])).homogeneous
@@ -281,7 +281,7 @@ def test_targets_relative_to_the_other_tip(brokk, of, free):
         T = {tip: pose.homogeneous for tip, pose in brokk.fk(brokk.random_q(rng)).items()}
         wanted = np.linalg.inv(T[other]) @ T[of]
         targets = {of: wanted} if free else {of: wanted, other: T[other]}
-        options = {"slack": {of: [0.01, 0, 0, 0, 0, 0.1]}, "frame": {of: FRAMES[k % 3]}} if k % 2 else {}
+        options = {"slack": {of: [0.01, 0, 0, 0, 0, 0.1]}, "frame": {of: AXES[k % 3]}} if k % 2 else {}
         result = ik.solve(brokk, targets, relative_to={of: other}, **options)
         assert result.success
         poses = {tip: pose.homogeneous for tip, pose in brokk.fk(result.q).items()}

@@ -28,7 +28,7 @@ from ..records import Array
 from .angles import find_angles, find_null, find_two_nulls, split_pair
 from .closure import close, joint_at, least_gain, reorder, wrapped
 from .equations import determinant, reduce, write_left, write_right
-from .terms import CERTAIN, DOUBLE, SIZES, STATE, TRUST, UNSURE
+from .terms import SIZES, STATE, TRUST, VERDICT
 
 
 # ---------------------------------------------------------------------------------------------------------------------- roots
@@ -279,18 +279,18 @@ def take_root(d, pose, rank, i, lone):
     gap = off_circle(z)
     # A root whose error disc overlaps no other is its own partner 1 / conj(z), so the disc must reach the circle.
     if not (gap <= radius + 1e-13 if lone else gap < 1e-3):
-        return UNSURE
+        return VERDICT.unsure
     root = math.atan2(z.imag, z.real)
     find_null(d.e.W, root, d.null)
     find_angles(d.e, rank, pose, root, d.null.x, d.null)
     if not settle_root(d, root, radius):
-        return UNSURE
+        return VERDICT.unsure
     gain = least_gain(d.loop)
     again = put_solution(d.found, d.loop.q, gain, root)
     if again > 0:
-        return DOUBLE if d.found[again, 6] < TRUST.singular else UNSURE
+        return VERDICT.double if d.found[again, 6] < TRUST.singular else VERDICT.unsure
     d.r.state[i] = STATE.real
-    return CERTAIN if radius <= TRUST.wide else UNSURE
+    return VERDICT.certain if radius <= TRUST.wide else VERDICT.unsure
 
 
 @inner
@@ -299,7 +299,7 @@ def account_for(d):
     found, r, n = d.found, d.r, 2 * int(d.form[3])
     for k in range(SIZES.columns):
         found[0, k] = 0.0
-    found[0, 1] = UNSURE
+    found[0, 1] = VERDICT.unsure
     pose, rank = set_up(d)
     largest = 0.0
     for k in range(n + 5):
@@ -309,7 +309,7 @@ def account_for(d):
         return pose, rank
     find_roots(r, n)
     find_discs(r, n, noise)
-    status = CERTAIN
+    status = VERDICT.certain
     for i in range(n):
         r.state[i] = STATE.complex if is_complex(r.z[i], r.radius[i]) else STATE.open
     for i in range(n):
@@ -326,6 +326,6 @@ def account_for(d):
         rest += 1.0 if r.state[i] == STATE.complex else 0.0
     for k in range(1, int(found[0, 0]) + 1):
         if found[k, 6] < TRUST.family:
-            status = max(status, DOUBLE)
+            status = max(status, VERDICT.double)
     found[0, 1], found[0, 3], found[0, 4], found[0, 5], found[0, 6] = status, n, rest, worst, noise
     return pose, rank

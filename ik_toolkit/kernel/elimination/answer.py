@@ -16,7 +16,7 @@ from .angles import Null, find_angles, find_null
 from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
 from .decomposition import decompose
 from .equations import LoopEquations
-from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
+from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 
 
 @inner
@@ -220,7 +220,7 @@ def solve_loops(forms, arm, T, found, values, within):
         nudge(d, 0.0)
         for k in range(SIZES.columns):
             found[t, 0, k] = 0.0
-        status, roots, real = UNSURE, 0.0, math.inf
+        status, roots, real = VERDICT.unsure, 0.0, math.inf
         for f in range(forms.shape[0]):
             load(d, view(forms[f]))
             if values.shape[0] > 0:
@@ -230,21 +230,21 @@ def solve_loops(forms, arm, T, found, values, within):
                 break
             pose, rank = use_form(d)
             alone = merge_into(d.found, view(found[t]))
-            status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
+            status = int(d.found[0, 1]) if alone or d.found[0, 1] != VERDICT.certain else VERDICT.unsure
             left = d.found[0, 3] - (d.found[0, 4] if d.form[3] > 0.0 else 0.0)
             if d.found[0, 3] > 0.0 and left < real:
                 roots, real = d.found[0, 3], left
             for k in range(3, SIZES.columns):
                 found[t, 0, k] = d.found[0, k]
             found[t, 0, 2] = f + 1.0 if d.form[3] > 0.0 else 0.0
-            if status == CERTAIN and within > 0.0:
+            if status == VERDICT.certain and within > 0.0:
                 list_near(d, pose, rank, within, view(found[t]))
-            if status != UNSURE:
+            if status != VERDICT.unsure:
                 break
-        if status == UNSURE and values.shape[0] == 0:
+        if status == VERDICT.unsure and values.shape[0] == 0:
             look_around(d, view(forms), view(found[t]))
-        if status != CERTAIN and all_counted(view(found[t]), real):
-            status = CERTAIN
+        if status != VERDICT.certain and all_counted(view(found[t]), real):
+            status = VERDICT.certain
             found[t, 0, 3], found[t, 0, 4], found[t, 0, 5] = roots, roots - real, 0.0
             found[t, 0, 7] = -1.0 if roots > real else 0.0  # Complex roots near the circle are not listed here.
         found[t, 0, 1] = status

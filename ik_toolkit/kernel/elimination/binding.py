@@ -12,7 +12,7 @@ import numpy as np
 
 from .answer import solve_loops
 from .decomposition import nearest_point, splits_of
-from .terms import CERTAIN, DOUBT, SIZES, Form
+from .terms import DOUBT, SIZES, VERDICT, Form
 
 
 class OrderingChoice(NamedTuple):
@@ -107,7 +107,7 @@ def _sure(split: np.ndarray, arm: np.ndarray, Q: np.ndarray, T: np.ndarray) -> i
     count, verdict = found[:, :1, 0], found[:, 0, 1]
     apart = np.abs((found[:, 1:, :6] - Q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
     apart[np.arange(apart.shape[1]) >= count] = np.inf
-    certain = verdict == CERTAIN
+    certain = verdict == VERDICT.certain
     return int(certain.sum()) if (apart.min(axis=1)[certain] < DOUBT.apart).all() else 0
 
 
@@ -125,7 +125,7 @@ def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift:
     notes = answers(row[None], arm, T)
     kept = [np.sort(one[1 : 1 + int(one[0, 0]), 7]) for one in notes]
     return OrderingResult(
-        row, notes[:, 0, 0], int((notes[:, 0, 1] == CERTAIN).sum()), any((np.diff(roots) == 0.0).any() for roots in kept),
+        row, notes[:, 0, 0], int((notes[:, 0, 1] == VERDICT.certain).sum()), any((np.diff(roots) == 0.0).any() for roots in kept),
         float(np.median(notes[:, 0, 5])),
     )  # fmt: skip
 

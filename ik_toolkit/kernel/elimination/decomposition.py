@@ -35,7 +35,7 @@ from .closure import (
     wrapped,
 )
 from .subproblems import Angles, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
-from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
+from .terms import DOUBT, SIZES, TRUST, VERDICT
 
 
 class Split(NamedTuple):
@@ -103,9 +103,9 @@ def put_branch(d, free, half, merged, doubt, error, near):
             found[int(found[0, 0]), 8] = half
     vague = not merged and (gain * DOUBT.apart < DOUBT.rounding or (inexact and again > 0))
     if doubt or vague or not closed:
-        found[0, 1] = UNSURE
-    elif free >= 0 and found[0, 1] != UNSURE:
-        found[0, 1] = FAMILY
+        found[0, 1] = VERDICT.unsure
+    elif free >= 0 and found[0, 1] != VERDICT.unsure:
+        found[0, 1] = VERDICT.family
 
 
 @inner
@@ -154,7 +154,8 @@ def split_wrist(d, pose, off, near):
             merged = A.merged or B.merged or C.merged or D.merged
             free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
             if D.number == 0 and (A.free or B.free or C.free):
-                d.found[0, 1], d.found[0, 7] = UNSURE, -1.0  # Other values of the free angle may have solutions.
+                # Other values of the free angle may have solutions.
+                d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
                 z = turn_back(u, four, t[3])
@@ -217,7 +218,7 @@ def split_parallel(d, pose, off, near):
                 free = 0 if A.free else 5 if loose else 1 if C.free else -1
                 put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
     if A.free and d.found[0, 0] == 0.0:
-        d.found[0, 1], d.found[0, 7] = UNSURE, -1.0  # Values of joint 1 between those tried may have solutions.
+        d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0  # Values of joint 1 between those tried may have solutions.
 
 
 @inner
@@ -229,13 +230,13 @@ def decompose(d, off, near):
     found = d.found
     for k in range(SIZES.columns):
         found[0, k] = 0.0
-    found[0, 1] = CERTAIN
+    found[0, 1] = VERDICT.certain
     pose = reorder(d.mix, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
     if d.form[2] > 0.0:
         split_parallel(d, pose, off, near)
     else:
         split_wrist(d, pose, off, near)
-    if found[0, 1] != UNSURE or off < DOUBT.alike:
+    if found[0, 1] != VERDICT.unsure or off < DOUBT.alike:
         found[0, 3], found[0, 4] = SIZES.branches, SIZES.branches - found[0, 0]
     found[0, 6] = off
 

@@ -4,8 +4,14 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled
 
-# status of a list of solutions: complete; roots merge (singular pose); unknown; a continuum of solutions
-CERTAIN, DOUBLE, UNSURE, FAMILY = 0, 1, 2, 3
+
+class Verdicts(NamedTuple):
+    """Status numbers of a list of solutions."""
+
+    certain: int = 0  # the list is complete
+    double: int = 1  # roots merge, as at a singular pose
+    unsure: int = 2  # nothing is known
+    family: int = 3  # there is a continuum of solutions
 
 
 @compiled
@@ -104,7 +110,7 @@ class DecompositionThresholds(NamedTuple):
     alike: float = 1e-12  # an arm with a smaller misfit has no more solutions than branches
 
 
-STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), CertaintyThresholds(), DecompositionThresholds()
+VERDICT, STATE, SIZES, TRUST, DOUBT = Verdicts(), RootState(), Sizes(), CertaintyThresholds(), DecompositionThresholds()
 
 
 class Form(NamedTuple):
@@ -124,7 +130,7 @@ class Notes(NamedTuple):
     """Row 0 of an answer: how many solutions it has, and whether the list is certified; the rows after it are the solutions."""
 
     count: float  # number of solutions
-    status: float  # CERTAIN, DOUBLE, UNSURE or FAMILY
+    status: float  # a number of `Verdicts`
     forms: float  # number of orderings of the loop that were tried; 0 if a decomposition has answered
     roots: float  # roots of the determinant of the last ordering
     # number of roots that are proven complex; if the answer is certain, each of the others is a solution

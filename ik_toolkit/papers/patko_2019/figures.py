@@ -20,9 +20,9 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
     h = np.linspace(0.002, 0.35, 600)
     left.fill_between(h, 0, 1 / h, color="#D9D9D9", lw=0)
     left.plot(h, 1 / h, color="#000000", lw=1.0)
-    left.plot(h, st.BEST_CV / h, color="#000000", lw=0.8, ls=":")
+    left.plot(h, st.BEST["cv"][0] / h, color="#000000", lw=0.8, ls=":")
     left.text(0.262, 1 / 0.262 + 0.7, r"$\kappa h = 1$")
-    left.text(0.262, st.BEST_CV / 0.262 - 1.35, r"best, $\kappa h = 2/3$")
+    left.text(0.262, st.BEST["cv"][0] / 0.262 - 1.35, r"best, $\kappa h = 2/3$")
     left.text(0.03, 3.0, "stable")
     for s in sets.values():
         _mark(left, s, (s.h, s.kappa), ("right", (-5, -11)) if s.paper == "stable" else ("left", (7, 4)))

@@ -296,7 +296,7 @@ def _claims(
         [
             "The good PP and RR gains are nearly optimal (Figs. 5, 7)", "cv yes, ca no",
             f"cv: kappa h {near[0]:.2g} and {near[1]:.2g} against 2/3; "
-            f"ca: radius {slow:.3g} or more against {st.BEST_CA_RADIUS:.3g} at kp h^2 = "
+            f"ca: radius {slow:.3g} or more against {-st.TRIPLE:.3g} at kp h^2 = "
             f"{best['kp']:.4g}, kd h = {best['kd']:.4g}",
         ],
     ]  # fmt: skip

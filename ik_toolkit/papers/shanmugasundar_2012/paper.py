@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...kernel.counted_error import POSE
-from ...kernel.records import WEIGHTS
+from ...kernel.counted_error import KIND
+from ...kernel.records import SIZE
 from ...robot.robot import Robot
 from ...robot.rotation import nearest_rotation
 from ...solvers.closed_form import inspection, reach
@@ -185,7 +185,7 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
             lost += best == math.inf
         rows.append([name, _rate(correct, poses), _rate(lost, poses)])
     solver = Solver(robot, Inspection())
-    p = solver.plan.orders((POSE,), True)[WEIGHTS + robot.n :]
+    p = solver.plan.orders((KIND.pose,), True)[SIZE.weights + robot.n :]
     box = np.vstack([np.full(robot.n, -np.inf), np.full(robot.n, np.inf), robot.home, np.ones(robot.n)])
     T[:, :3, 3] /= 1000.0
     out, broken, count, correct, origin = np.empty((8, robot.n)), np.empty(8), [], 0, 0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidOption, floats
-from ...kernel.counted_error import POSE
+from ...kernel.counted_error import KIND
 from ...motion.trajectory import Trajectory
 from ...paths.continuity import check, densify
 from ...paths.freedom import errors_at_rows
@@ -175,7 +175,7 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
 
 def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionModel | None = None) -> PathResult:
     """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on it between them."""
-    plan, kinds, T = Solver(robot, "lm").plan_for((POSE,)), (POSE,), poses[:, None]
+    plan, kinds, T = Solver(robot, "lm").plan_for((KIND.pose,)), (KIND.pose,), poses[:, None]
     curve, at, cut = densify(plan, kinds, q, T, [], STEP, TOLERANCE)
     curve = np.clip(curve, robot.lower, robot.upper)
     proof = check(plan, kinds, curve, at, T, cut, model)

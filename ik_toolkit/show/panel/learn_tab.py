@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import IKError
-from ...kernel.counted_error import POSE, POSITION
+from ...kernel.counted_error import KIND
 from ...robot.pose import LAST
 from ...solvers.closed_form import fits
 from ...solvers.explain.dh_table import dh_blocks, dh_of
@@ -42,8 +42,8 @@ class Lesson:
         self.made: Explanation | None = None
         self.shown = 0
         self.T = np.eye(4)
-        kind = POSE if fits(self.robot, POSE) else POSITION if fits(self.robot, POSITION) else None
-        self.posed = self.robot.n >= FREEDOMS if kind is None else kind == POSE
+        kind = KIND.pose if fits(self.robot, KIND.pose) else KIND.position if fits(self.robot, KIND.position) else None
+        self.posed = self.robot.n >= FREEDOMS if kind is None else kind == KIND.pose
         self.places = decimals(self.robot.reach)
         self.table = dh_of(self.robot)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FrameNotFound, InvalidConfiguration, InvalidTarget, ModelError
-from ...kernel.counted_error import POSE, POSITION
+from ...kernel.counted_error import KIND
 from ...robot.geometry.collision import CollisionModel
 from ...robot.geometry.distance import Near
 from ...robot.library import find
@@ -187,7 +187,7 @@ class Session:
         """Return the names of the solvers available for this robot."""
         from ...solvers.closed_form import fits
 
-        closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
+        closed = {fits(self.robot, kind) for kind in (KIND.position, KIND.pose)}
         rows = (row for row in list_rows() if not (len(self.robot.tips) > 1 and row.one_tip))
         return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
 

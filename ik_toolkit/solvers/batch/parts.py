@@ -13,8 +13,8 @@ import numpy as np
 from numba import config
 
 from ...errors import InvalidOption
-from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
-from ...kernel.records import ANSWER, AT
+from ...kernel.checks import CODE
+from ...kernel.records import AT, SIZE
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
 from ..plan import Plan
@@ -75,7 +75,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
         out[left] = rest
     else:
         quick.run(T, kinds, start, given, out)
-    for k in np.flatnonzero(out[:, AT.status] == BAD_TARGET):
+    for k in np.flatnonzero(out[:, AT.status] == CODE.bad_target):
         one = part.rows(slice(k, k + 1))
         T[k] = mended(T[k], kinds, plan.robot.tips, first + int(k))
         quick.run(one.T, kinds, one.start, given, out[k : k + 1])
@@ -83,7 +83,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
     if not plan.bare:
         finish_failures(plan, T, kinds, start, given, out)
     if plan.improving:
-        for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
+        for k in np.flatnonzero(out[:, AT.status] == CODE.converged):
             one = part.rows(slice(k, k + 1))
             asked = one.start.tobytes() if given else b""
             outcome = SolveRecord(plan, one.T.tobytes(), kinds, asked, out[k].copy(), 0.0)
@@ -109,9 +109,9 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
     """Check again with Pinocchio those rows of a part that belong to the share of the batch to be checked."""
     n = plan.robot.n
     for k in _sampled(part.first, len(out), share):
-        if out[k, AT.status] == CONVERGED:
-            if not confirmed(plan, out[k, ANSWER : ANSWER + n], part.T[k], part.kinds):
-                out[k, AT.status] = CHECK_FAILED
+        if out[k, AT.status] == CODE.converged:
+            if not confirmed(plan, out[k, SIZE.answer : SIZE.answer + n], part.T[k], part.kinds):
+                out[k, AT.status] = CODE.check_failed
 
 
 def _solve_part(
@@ -134,7 +134,7 @@ def _solve_part(
         size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
     _confirm(plan, part, out, share)
     mark_open(plan, out)
-    lost = np.flatnonzero(out[:, AT.status] != CONVERGED)
+    lost = np.flatnonzero(out[:, AT.status] != CODE.converged)
     q0 = np.empty((0, plan.robot.n)) if job.q0 is None else np.broadcast_to(start, (len(out), start.shape[1]))[lost]
     return out, Failures(lost, part.T[lost], q0)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...copying import ReadOnly
 from ...errors import IKError, InvalidOption, Portable
-from ...kernel.records import ANSWER, AT, MISS
+from ...kernel.records import AT, SIZE
 from ...text import TextTable, length
 from ..collision_free import collision_model
 from ..outcome import SPOKEN, SolveRecord
@@ -132,7 +132,7 @@ class BatchResult(ReadOnly):
         """Whether every target leaves orientation free."""
         return all(kind in SPOKEN for kind in self.kinds)
 
-    q = property(lambda self: self.table[:, ANSWER : ANSWER + self.plan.robot.n])
+    q = property(lambda self: self.table[:, SIZE.answer : SIZE.answer + self.plan.robot.n])
     status = property(lambda self: self.table[:, AT.status].astype(np.int64))
     success = property(lambda self: self.table[:, AT.status] == Status.CONVERGED)
     proven = property(lambda self: is_proven(self.table[:, AT.status], self.table[:, AT.excess], self.plan))
@@ -154,8 +154,8 @@ class BatchResult(ReadOnly):
         """Return the errors (N, 2) of each tip."""
         if len(self.kinds) == 1:
             return [self.table[:, [AT.position, AT.rotation]]]
-        first = ANSWER + self.plan.robot.n
-        return [self.table[:, first + MISS * f : first + MISS * f + 2] for f in range(len(self.kinds))]
+        first = SIZE.answer + self.plan.robot.n
+        return [self.table[:, first + SIZE.miss * f : first + SIZE.miss * f + 2] for f in range(len(self.kinds))]
 
     iterations = property(lambda self: self.table[:, AT.iterations].astype(np.int64))
     restarts = property(lambda self: self.table[:, AT.restarts].astype(np.int64))

@@ -11,9 +11,9 @@ from typing import Any, Unpack
 import numpy as np
 
 from ...errors import InvalidConfiguration, InvalidOption, check_progress, floats, whole
-from ...kernel.checks import CHECK_FAILED
-from ...kernel.counted_error import POSE
-from ...kernel.records import ANSWER, AT
+from ...kernel.checks import CODE
+from ...kernel.counted_error import KIND
+from ...kernel.records import AT, SIZE
 from ...robot.robot import Robot
 from ...robot.tree import Tree
 from ..options import BatchOptions
@@ -118,9 +118,9 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan, notice: str) -> Iterator[
     with closing(tables):
         for table, failures in tables:
             part = BatchResult(table, kinds, plan, failures, notice)
-            failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
+            failed = np.flatnonzero(table[:, AT.status] == CODE.check_failed)
             if len(failed):
-                table[:, AT.status] = CHECK_FAILED
+                table[:, AT.status] = CODE.check_failed
                 raise BatchCheckFailed(part, done + int(failed[0]), done)
             done += len(table)
             yield part
@@ -228,13 +228,14 @@ def solve_batch(
         table.resize((total if total is not None else done + len(part), part.table.shape[1]), refcheck=False)
         table[done:end] = part.table[: end - done]
         table[end:] = 0.0
-        table[end:, [AT.position, AT.rotation, *range(ANSWER, table.shape[1])]] = np.nan
-        table[:, AT.status] = CHECK_FAILED
+        table[end:, [AT.position, AT.rotation, *range(SIZE.answer, table.shape[1])]] = np.nan
+        table[:, AT.status] = CODE.check_failed
         raise BatchCheckFailed(part.of(table), failure.target, 0) from None
     if part is None:
         solver = Solver(robot, solver, **options)
         kinds = next(
-            (block.kinds for block in blocks(iter([] if given is None else [given]), robot)), (POSE,) * len(robot.tips)
+            (block.kinds for block in blocks(iter([] if given is None else [given]), robot)),
+            (KIND.pose,) * len(robot.tips),
         )
         plan = solver.plan_for(kinds)
         return BatchResult(np.empty((0, plan.width)), kinds, plan)

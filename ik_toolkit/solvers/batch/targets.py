@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
-from ...kernel.counted_error import FREE, POSE, POSITION
+from ...kernel.checks import RIGID
+from ...kernel.counted_error import KIND
 from ...robot.pose import AxisTarget, as_array, check_target
 from ...robot.ros import is_by_name, listed_poses, read_pose
 
-SHAPES = {(4, 4): POSE, (3,): POSITION}
+SHAPES = {(4, 4): KIND.pose, (3,): KIND.position}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-# A rotation whose axes are off orthonormal by 1e-12 to 1e-6 is replaced by the nearest exact one.
-ROUGH, RIGID = 1e-12, 1e-6
+ROUGH = 1e-12  # A rotation whose axes are off orthonormal by this to `RIGID.axes` is replaced by the nearest exact one.
 
 
 class Block(NamedTuple):
@@ -25,7 +25,7 @@ class Block(NamedTuple):
     @property
     def kinds(self) -> tuple:
         """The kind of target of each tip."""
-        return tuple(FREE if part is None else SHAPES[part.shape[1:]] for part in self.parts)
+        return tuple(KIND.free if part is None else SHAPES[part.shape[1:]] for part in self.parts)
 
     @property
     def rows(self) -> int:
@@ -51,13 +51,13 @@ class Block(NamedTuple):
 
 
 def _straighten(T: np.ndarray) -> None:
-    """Replace rotations in T (m, 4, 4) that are orthonormal only to ROUGH ... RIGID by the nearest exact ones, in place."""
+    """Replace rotations in T (m, 4, 4) that are orthonormal only to ROUGH ... RIGID.axes by the nearest exact ones, in place."""
     x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
     off = np.zeros(len(T))
     with np.errstate(invalid="ignore", over="ignore"):
         for u, v in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z)):
             np.maximum(off, np.abs((u * v).sum(axis=0) - (u is v)), out=off)
-    rough = (off > ROUGH) & (off < RIGID)
+    rough = (off > ROUGH) & (off < RIGID.axes)
     if rough.any():
         U, _, Vt = np.linalg.svd(T[rough, :3, :3])
         T[rough, :3, :3] = U @ Vt
@@ -229,10 +229,10 @@ def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> n
     """
     good = T.copy().reshape(-1, 4, 4)
     for tip, kind, one in zip(tips, kinds, good, strict=True):
-        if kind == FREE:
+        if kind == KIND.free:
             continue
         try:
-            if kind == POSITION:
+            if kind == KIND.position:
                 check_target(one[:3, 3])
             else:
                 one[:] = check_target(one)[0]

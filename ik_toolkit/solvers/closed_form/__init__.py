@@ -4,7 +4,7 @@ from typing import Any
 
 
 def fits(robot: Any, kind: int) -> str | None:
-    """Return the name of the closed form that solves this robot for a kind of target (POSE or POSITION), or None."""
+    """Return the name of the closed form that solves this robot for a kind of target (KIND.pose or KIND.position), or None."""
     found = fit(robot, kind)
     return found[0] if found else None
 
@@ -23,10 +23,10 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
 
 def describe_fit(robot: Any) -> str:
     """Return one sentence on the closed form that fits a robot and how well it fits, or ''."""
-    from ...kernel.counted_error import POSE, POSITION
+    from ...kernel.counted_error import KIND
     from .geometry import FIT
 
-    for kind in (POSE, POSITION):
+    for kind in (KIND.pose, KIND.position):
         found = fit(robot, kind)
         if found is not None:
             name, off = found
@@ -40,13 +40,17 @@ def describe_fit(robot: Any) -> str:
 
 
 def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
-    from ...kernel.counted_error import POSE, POSITION
+    from ...kernel.counted_error import KIND
     from ..rows import ROWS
 
     found: dict[int, tuple[str, float]] = {}
     for row in ROWS:
         if chain.n in row.joints:
             fit = row.load().recognise(chain)
-            kinds = [kind for kind, solved in ((POSE, row.pose), (POSITION, row.position)) if solved and not fit.reason]
+            kinds = [
+                kind
+                for kind, solved in ((KIND.pose, row.pose), (KIND.position, row.position))
+                if solved and not fit.reason
+            ]
             found |= {kind: (row.name, fit.off) for kind in kinds if kind not in found}
     return found

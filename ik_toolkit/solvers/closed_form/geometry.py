@@ -12,11 +12,11 @@ import numpy as np
 from ...compile.jit import inline, shared
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
-from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ...kernel.counted_error import POSITION
+from ...kernel.checks import CODE
+from ...kernel.counted_error import KIND
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
-from ...kernel.records import ANSWER, HEAD, PAST, WEIGHTS, Answer, Ends, Orders, read, write
+from ...kernel.records import SIZE, Answer, Ends, Orders, read, write
 
 FIT = 1e-9  # axes that deviate less from a structure [rad, or length over the reach] fit it exactly
 # Axes that deviate more from a structure [rad, or length over the reach] do not fit it.
@@ -152,7 +152,7 @@ def copy_limits(ends, opt, q0, box):
         box[0, i] = chain.lower(i) * unit if limited else -np.inf
         box[1, i] = chain.upper(i) * unit if limited else np.inf
         box[2, i] = q0[i] if o.given > 0.0 else chain.home(i) * unit
-        box[3, i] = 1.0 / (max(opt[WEIGHTS + i], LIGHTEST) * unit * unit)
+        box[3, i] = 1.0 / (max(opt[SIZE.weights + i], LIGHTEST) * unit * unit)
 
 
 @inline
@@ -167,21 +167,21 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
     o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
         q[i] = min(max(q[i], box[0, i]), box[1, i])
-        out[ANSWER + i] = q[i]
+        out[SIZE.answer + i] = q[i]
         q[i] /= chain.unit(i)
     aim(chain, T, goal)
     now = fk(rows, q, joints, trig)
     linear, angular = pose_error(goal, now.axes, now.point + now.axes.times(at3(ends, 21)))
     position = math.sqrt(linear.square()) * chain.scale()
-    rotation = 0.0 if int(opt[HEAD]) == POSITION else rotation_angle(angular.square())
+    rotation = 0.0 if int(opt[SIZE.orders]) == KIND.position else rotation_angle(angular.square())
     if position < o.tol_p and rotation < o.tol_r:
-        status = CONVERGED
+        status = CODE.converged
     elif gap >= o.tol_p + slack:
-        status = UNREACHABLE
+        status = CODE.unreachable
     elif broken > 0.0 and gap < o.tol_p:
-        status = LIMIT_BLOCKED
+        status = CODE.limit_blocked
     else:
-        status = STALLED  # A stall proves nothing about the target.
+        status = CODE.stalled  # A stall proves nothing about the target.
     noted = 0.0
     if hist.shape[0] > 0:
         noted = 1.0
@@ -189,6 +189,6 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
         hist[0, 1] = rotation
         hist[0, 2] = 0.0
         for i in range(n):
-            hist[0, PAST + i] = out[ANSWER + i]
-    excess = gap if status == UNREACHABLE else 0.0
+            hist[0, SIZE.past + i] = out[SIZE.answer + i]
+    excess = gap if status == CODE.unreachable else 0.0
     write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0, 0.0))

@@ -15,9 +15,9 @@ import numpy as np
 from ...compile.jit import cached
 from ...errors import InvalidOption
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, ORTHONORMAL, rigid
+from ...kernel.checks import CODE, RIGID, rigid
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import Asked, closed_form, fitted
 from .geometry import (
@@ -131,7 +131,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     `protocol.ClosedForm.loop` describes the arguments.
     """
     n = seeds.shape[1]
-    p = opt[WEIGHTS + n :]
+    p = opt[SIZE.weights + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
     P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
     tries, best = np.empty((2, n)), np.empty(n)
@@ -139,12 +139,12 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     row, limits = np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     for t in range(T.shape[0]):
-        if not rigid(T[t], ORTHONORMAL):
-            out[t, 0] = BAD_TARGET
+        if not rigid(T[t], RIGID.axes):
+            out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
         if not legal_start(ends, opt, q0):
-            out[t, 0] = BAD_START
+            out[t, 0] = CODE.bad_start
             continue
         copy_limits(ends, opt, q0, box)
         near_angles(p, box, near)
@@ -207,7 +207,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
-        if out[t, AT.status] == LIMIT_BLOCKED:
+        if out[t, AT.status] == CODE.limit_blocked:
             out[t, AT.excess] = stroke
 
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from ...compile.jit import cached
-from ...kernel.checks import BAD_START, BAD_TARGET, is_rigid
+from ...kernel.checks import CODE, is_rigid
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
@@ -24,14 +24,14 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
         n = robot.n
-        numbers, unit = opt[WEIGHTS + n :], robot.chain.unit
-        weights = 1.0 / (np.maximum(opt[WEIGHTS : WEIGHTS + n], LIGHTEST) * unit**2)
+        numbers, unit = opt[SIZE.weights + n :], robot.chain.unit
+        weights = 1.0 / (np.maximum(opt[SIZE.weights : SIZE.weights + n], LIGHTEST) * unit**2)
         free = np.full(n, np.inf)
         lower, upper = (robot.lower, robot.upper) if opt[ORDER.limits] else (-free, free)
         for t in range(len(T)):
             q0 = Q0[t if len(Q0) > 1 else 0]
             if not is_rigid(T[t]):
-                out[t, AT.status] = BAD_TARGET
+                out[t, AT.status] = CODE.bad_target
                 continue
             near = q0 if opt[ORDER.given] else robot.home
             made = form.every(robot, numbers, T[t], np.vstack([lower, upper, near, weights]), SAMPLE)
@@ -49,7 +49,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):
-        out[0] = BAD_START
+        out[0] = CODE.bad_start
         return
     box = np.empty((4, n))
     copy_limits(ends, opt, q0, box)

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...compile.jit import cached, inner
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, ORTHONORMAL, rigid
+from ...kernel.checks import CODE, RIGID, rigid
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS, copy
+from ...kernel.records import AT, ORDER, SIZE, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import closed_form
 from .geometry import (
@@ -105,19 +105,19 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     `protocol.ClosedForm.loop` describes the arguments.
     """
     n = 2
-    p = opt[WEIGHTS + n :]
+    p = opt[SIZE.weights + n :]
     box = np.empty((4, n))
     near = p[ANGLES + 1]
     sols = np.empty((2, 2))
     q, best = np.empty(n), np.empty(n)
     goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
     for t in range(T.shape[0]):
-        if not rigid(T[t], ORTHONORMAL):
-            out[t, 0] = BAD_TARGET
+        if not rigid(T[t], RIGID.axes):
+            out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
         if not legal_start(ends, opt, q0):
-            out[t, 0] = BAD_START
+            out[t, 0] = CODE.bad_start
             continue
         copy_limits(ends, opt, q0, box)
         near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from ...compile.jit import build, cached, inner
-from ...kernel.counted_error import POSE, POSITION
+from ...kernel.counted_error import KIND
 from ...kernel.kinematics import aim, rotation_angle
 from ...kernel.limits import hold
 from ...kernel.linalg import damped
-from ...kernel.records import HEAD, ORDER, Ends, Orders, copy, read
+from ...kernel.records import ORDER, SIZE, Ends, Orders, copy, read
 from ...kernel.serial import make_serial
 
 DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
@@ -29,7 +29,9 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
     [rad] (inf if q was not evaluated) and the number of evaluations made.
     """
     n = q.shape[0]
-    return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)
+    return newton(
+        make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most
+    )
 
 
 @inner
@@ -38,12 +40,12 @@ def newton(p, old, opt, T, q, fixed, steps, most):
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0
-    kind = int(opt[HEAD])
+    kind = int(opt[SIZE.orders])
     x = s.q
     aim(box, T, p.goal)
     tp, tr = o.tol_p / box.scale(), o.tol_r
-    least = min(tp, tr) if kind == POSE else tp
-    wp, wr = (least / tp, least / tr) if kind == POSE and least > 0.0 else (1.0, 1.0)
+    least = min(tp, tr) if kind == KIND.pose else tp
+    wp, wr = (least / tp, least / tr) if kind == KIND.pose and least > 0.0 else (1.0, 1.0)
     for i in range(n):
         x[i] = q[i] / box.unit(i)
         old[i] = x[i]
@@ -60,7 +62,7 @@ def newton(p, old, opt, T, q, fixed, steps, most):
                 math.sqrt(e.linear.square()) * box.scale(),
                 rotation_angle(e.angular.square()),
             )
-            if kind == POSITION:
+            if kind == KIND.position:
                 rotation = 0.0
             copy(x, old)
             damping = max(0.1 * damping, SOFTEST)
@@ -119,7 +121,7 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
     o = read(Orders, opt)
     kept = legal = 0
     q, old = np.empty(n), np.empty(n)
-    p = make_serial(rows, ends, opt[HEAD:], n, o)
+    p = make_serial(rows, ends, opt[SIZE.orders :], n, o)
     for turn in range(2 * Q.shape[0]):
         k, border = turn % Q.shape[0], turn >= Q.shape[0]
         if (broken[k] > 0.0) != border or broken[k] > BORDER:

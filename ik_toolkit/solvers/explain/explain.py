@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidTarget, MissingExtra
-from ...kernel.counted_error import FREE, POSE, POSITION
-from ...kernel.records import AT, WEIGHTS
+from ...kernel.counted_error import KIND
+from ...kernel.records import AT, SIZE
 from ..closed_form import fits
 from ..outcome import SolveRecord
 from ..plan import Plan
@@ -40,7 +40,7 @@ def explain_result(result: Any) -> Explanation:
     solution, chosen, errors, source = None, None, (), ""
     if form is not None:
         solution = _derived(form, of, q)
-        target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
+        target = of.T[0] if of.kinds == (KIND.pose,) else of.T[0][:3, 3]
         if not solution.steps:  # EAIK shows no steps, and some of its branches do not match
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
@@ -54,9 +54,9 @@ def explain_result(result: Any) -> Explanation:
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
     targets = {
-        tip: T if kind == POSE else T[:3, 3]
+        tip: T if kind == KIND.pose else T[:3, 3]
         for tip, T, kind in zip(robot.tips, of.T.reshape(-1, 4, 4), of.kinds, strict=True)
-        if kind != FREE
+        if kind != KIND.free
     }
     tables = {arm.tip: dh_of(arm) for arm in robot.arms}
     name = form.row.name if form is not None else ""
@@ -72,7 +72,7 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
         return plan, ""
     if len(robot.tips) > 1:
         return None, "Closed forms are for one tip; several tips are solved together by iteration."
-    if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
+    if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (KIND.pose, KIND.position):
         why = "Only part of a pose or position is required, so no closed form applies: the solution is found by iteration."
         return None, why
     name = fits(robot, of.kinds[0])
@@ -89,7 +89,7 @@ def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
     free = np.full(robot.n, np.inf)
     lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
     box = np.vstack([lower, upper, q, 1.0 / robot.chain.unit**2])
-    numbers = form.orders(of.kinds, True)[WEIGHTS + robot.n :]
+    numbers = form.orders(of.kinds, True)[SIZE.weights + robot.n :]
     try:
         return form.rule.derive(robot, numbers, of.T[0], box)
     except ModuleNotFoundError as error:

@@ -5,19 +5,7 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.servo import workspace
-from ik_toolkit.servo.target_stream import (
-    ARRIVAL,
-    CHECK,
-    DOUBTFUL,
-    HELD,
-    READ,
-    REFUSED,
-    STAND,
-    STILL,
-    TAKEN,
-    WAIT,
-    arrive,
-)
+from ik_toolkit.servo.target_stream import ARRIVAL, GIVEN, STAND, arrive
 
 
 def turned(rng, tips, angle):
@@ -36,7 +24,7 @@ def unknown(tips):
     return np.concatenate([np.eye(len(STAND))[STAND.jumped], np.zeros(16 * tips)])
 
 
-def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1, stand=None):
+def arrived(samples, T, slot=1, how=GIVEN.doubtful, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1, stand=None):
     """What `arrive` says of targets T (F, 4, 4)."""
     given = workspace.new_samples(1, len(T))
     given.T[0] = T
@@ -50,14 +38,14 @@ def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
     pin.seed(3)
     rng, samples = np.random.default_rng(3), workspace.new_samples(2, 2)
     last, now, turn = turned(rng, 2, angle)
-    assert arrived(samples, last, first=1) == TAKEN
+    assert arrived(samples, last, first=1) == GIVEN.fine
     assert not samples.V.any() and np.array_equal(samples.T[0], last)
-    assert arrived(samples, now, moved=1) == TAKEN
+    assert arrived(samples, now, moved=1) == GIVEN.fine
     assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], now)
     V = samples.V[1].reshape(2, 2, 3)
     np.testing.assert_allclose(V[:, 0], (now - last)[:, :3, 3] / 0.1, rtol=1e-12)
     np.testing.assert_allclose(V[:, 1], turn / 0.1, atol=1e-13 if angle < 2.0 else 1e-8)
-    assert arrived(samples, now, moved=1) == TAKEN
+    assert arrived(samples, now, moved=1) == GIVEN.fine
     assert not samples.V[1].any()  # exactly: a target at rest
 
 
@@ -66,10 +54,10 @@ def test_what_is_given_counts_and_a_position_leaves_the_rotation():
     rng, samples = np.random.default_rng(4), workspace.new_samples(2, 1)
     last, now, _ = turned(rng, 1, 0.5)
     V, A = rng.normal(size=(2, 6))
-    assert arrived(samples, last, slot=0, first=1, V=V) == TAKEN
+    assert arrived(samples, last, slot=0, first=1, V=V) == GIVEN.fine
     assert np.array_equal(samples.V[0], V) and not samples.A[0].any()
     now[0, :3, :3] = np.nan  # of a position there are no other numbers
-    assert arrived(samples, now, posed=0, V=2 * V, A=A) == TAKEN
+    assert arrived(samples, now, posed=0, V=2 * V, A=A) == GIVEN.fine
     assert np.array_equal(samples.V[1], 2 * V) and np.array_equal(samples.A[1], A)
     assert np.array_equal(samples.T[1, 0, :3, 3], now[0, :3, 3]) and np.isfinite(samples.T).all()
 
@@ -85,14 +73,14 @@ def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
             bad[1, r, c] += off
             if c == 3 and r < 3 and off == 1e-8:
                 continue
-            assert arrived(samples, bad) == (HELD if c == 3 and r < 3 else DOUBTFUL), (r, c, off)
+            assert arrived(samples, bad) == (GIVEN.refused if c == 3 and r < 3 else GIVEN.doubtful), (r, c, off)
     mirrored = now.copy()
     mirrored[0, :3, 2] *= -1.0
-    assert arrived(samples, mirrored) == DOUBTFUL and arrived(samples, mirrored, how=READ) == TAKEN
+    assert arrived(samples, mirrored) == GIVEN.doubtful and arrived(samples, mirrored, how=GIVEN.fine) == GIVEN.fine
     broken = np.array([0.0, 0.0, np.nan, *np.zeros(9)])
-    for what in ({"how": REFUSED}, {"V": broken}, {"A": broken}):
-        assert arrived(samples, now) == TAKEN
-        assert arrived(samples, now, **what) == HELD
+    for what in ({"how": GIVEN.refused}, {"V": broken}, {"A": broken}):
+        assert arrived(samples, now) == GIVEN.fine
+        assert arrived(samples, now, **what) == GIVEN.refused
         assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
         assert not samples.V[1].any() and not samples.A[1].any()
 
@@ -102,7 +90,7 @@ def standing(way, dt=0.01):
     samples, stand, T, told = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None], []
     for k, x in enumerate(way):
         T[0, 0, 3] = x
-        assert arrived(samples, T, first=k == 0, moved=k > 0, dt=dt, stand=stand) == TAKEN
+        assert arrived(samples, T, first=k == 0, moved=k > 0, dt=dt, stand=stand) == GIVEN.fine
         told.append({name: stand[at] for name, at in STAND._asdict().items()})
     return told
 
@@ -115,14 +103,16 @@ def test_whether_a_target_stands():
     assert last["jumped"] and last["seconds"] == pytest.approx(0.19)
     *_, there, after = standing([0.0, 1.5 * ARRIVAL.jump, 1.5 * ARRIVAL.jump])
     assert there["jumped"] and not there["still"] and after["jumped"] and after["still"]
-    steps = np.arange(40) * STILL * 0.01 / WAIT
+    steps = np.arange(40) * ARRIVAL.still * 0.01 / ARRIVAL.wait
     assert last["rest"] == pytest.approx(0.2) and after["rest"] == pytest.approx(0.01) and there["rest"] == 0.0
     slow, fast = (standing(pace * steps)[-1] for pace in (0.9, 1.5))
-    assert slow["still"] and slow["jumped"] and slow["seconds"] < WAIT, "it creeps"
+    assert slow["still"] and slow["jumped"] and slow["seconds"] < ARRIVAL.wait, "it creeps"
     turning = standing(1e-3 * np.cos(np.linspace(-1.0, 1.0, 41)))  # from one way to the other, within 0.5 mm
-    assert turning[-1]["still"] and turning[-1]["seconds"] > WAIT > max(one["rest"] for one in turning), "it turns back"
-    assert not fast["still"] and not fast["jumped"] and fast["seconds"] < WAIT
-    trembling = standing(np.concatenate([2.0 * steps, 2.0 * steps[-1] + 0.1 * STILL * (-1.0) ** np.arange(30)]))
+    assert turning[-1]["still"] and turning[-1]["seconds"] > ARRIVAL.wait > max(one["rest"] for one in turning), (
+        "it turns back"
+    )
+    assert not fast["still"] and not fast["jumped"] and fast["seconds"] < ARRIVAL.wait
+    trembling = standing(np.concatenate([2.0 * steps, 2.0 * steps[-1] + 0.1 * ARRIVAL.still * (-1.0) ** np.arange(30)]))
     assert (
         not trembling[45]["still"]
         and trembling[-1]["still"]
@@ -133,5 +123,5 @@ def test_whether_a_target_stands():
 
 def test_a_target_that_is_refused_or_where_it_begins_is_not_looked_at():
     samples, stand, T = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None]
-    assert arrived(samples, T, slot=0, first=1, stand=stand) == TAKEN and not stand[STAND.known]
-    assert arrived(samples, np.full_like(T, np.nan), stand=stand) == HELD and not stand[STAND.known]
+    assert arrived(samples, T, slot=0, first=1, stand=stand) == GIVEN.fine and not stand[STAND.known]
+    assert arrived(samples, np.full_like(T, np.nan), stand=stand) == GIVEN.refused and not stand[STAND.known]

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ik_toolkit.kernel import clearance
 from ik_toolkit.servo import viability
-from ik_toolkit.servo.viability import ACCELERATION, POSITION, RECOVERING, VELOCITY
+from ik_toolkit.servo.viability import BIT
 
 GAMMAS = (1.0, 0.5, 0.75, 0.3)
 
@@ -112,21 +112,21 @@ def test_the_box_is_what_the_limits_allow(gamma):
         if not any(allowed(w, *args) for w in (max(v - a * h / bend, 0.0), min(v + a * h / bend, 0.0))):
             continue
         low, top, why_low, why_top = viability.joint_box(*args)
-        assert low <= top and not why_top & RECOVERING and not why_low & RECOVERING
+        assert low <= top and not why_top & BIT.recovering and not why_low & BIT.recovering
         for w in (low, top, 0.5 * (low + top)):
             assert allowed(w, *args, slack=1e-9)
         for w, why, sign in ((top, why_top, 1.0), (low, why_low, -1.0)):
             assert not allowed(w + sign * 1e-6, *args, slack=1e-10)
             reasons.add(int(why))
             beyond = w + sign * 1e-6
-            if why == ACCELERATION:
+            if why == BIT.acceleration:
                 assert abs(beyond - v) * bend > a * h
-            elif why == VELOCITY:
+            elif why == BIT.velocity:
                 assert max(abs(beyond), abs(bend * beyond - (bend - 1.0) * v)) > speed
-            elif why == POSITION:
+            elif why == BIT.position:
                 wide = (beyond, q, v, -9.0, 9.0, *args[4:])
                 assert allowed(*wide)
-    assert reasons >= {ACCELERATION, VELOCITY, POSITION}
+    assert reasons >= {BIT.acceleration, BIT.velocity, BIT.position}
 
 
 def test_limits_that_contradict_each_other_leave_one_rate():
@@ -136,19 +136,19 @@ def test_limits_that_contradict_each_other_leave_one_rate():
         assert (
             low == top == pytest.approx(want)
             and why == other
-            and why & (POSITION | ACCELERATION) == POSITION | ACCELERATION
+            and why & (BIT.position | BIT.acceleration) == BIT.position | BIT.acceleration
         )
-        assert why & RECOVERING
+        assert why & BIT.recovering
     low, top, why, _ = viability.joint_box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
-    assert low == top == pytest.approx(0.6) and why & RECOVERING
+    assert low == top == pytest.approx(0.6) and why & BIT.recovering
     low, top, why, _ = viability.joint_box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
-    assert low == top == pytest.approx(-0.6) and why & RECOVERING
+    assert low == top == pytest.approx(-0.6) and why & BIT.recovering
     low, top, _, why = viability.joint_box(
         1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1
     )  # outside: back at a tenth of the speed
-    assert top == pytest.approx(-0.1) and low == pytest.approx(-0.2) and why & RECOVERING
+    assert top == pytest.approx(-0.1) and low == pytest.approx(-0.2) and why & BIT.recovering
     low, top, why, _ = viability.joint_box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
-    assert low == pytest.approx(0.1) and top == pytest.approx(0.2) and why & RECOVERING
+    assert low == pytest.approx(0.1) and top == pytest.approx(0.2) and why & BIT.recovering
     low, top, *_ = viability.joint_box(
         0.0, 3.0, -9.0, 9.0, 0.1, 900.0, 0.75, 0.1, 0.1
     )  # a parabola too fast for its limit: rest is soonest
@@ -187,7 +187,7 @@ def test_all_joints_at_once(gamma):
     assert viability.boxes(q, rate, limits, gamma, 0.02, 0.03, box)
     x = np.zeros(4)
     x[0] = 0.5 * (low[0] + top[0])
-    assert viability.clip(x, box, code) and code[0] == RECOVERING
+    assert viability.clip(x, box, code) and code[0] == BIT.recovering
 
 
 def test_how_far_a_joint_has_gone():

@@ -9,7 +9,7 @@ import random_arms as arms
 from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import evaluate, joint_levers, poses_at, segments, without_limits, without_wrap
 from ik_toolkit.kernel.records import POINTS, Ends
-from ik_toolkit.kernel.starts import HOME_WEIGHT, SEEDS
+from ik_toolkit.kernel.starts import DISTANCE, SEEDS
 
 MIXES = ("tttstt", "tmtsnt", "stotmt", "tt")
 
@@ -131,6 +131,6 @@ def test_features_of_the_table_of_starts():
         q = chain.seeds[k] * chain.unit
         pose, frames = arms.fk(rows, np.eye(4), tip, q)
         point = pose[:3, 3] / chain.scale
-        near = HOME_WEIGHT * np.sum((q / chain.unit - chain.ends[POINTS + 36 : POINTS + 42]) ** 2)
+        near = DISTANCE.from_home * np.sum((q / chain.unit - chain.ends[POINTS + 36 : POINTS + 42]) ** 2)
         want = [*(-2.0 * point), *(-0.1 * frames[-1][:3, :3].ravel()), point @ point + near]
         np.testing.assert_allclose(chain.features[:, k], want, atol=1e-5)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import damped_descent
+from ik_toolkit.servo.constrained_step import MODE
 from ik_toolkit.servo.damped_descent import adapt, descend, feedback, notice, stop_in_time, stuck
-from ik_toolkit.servo.laws import CLIP, LAW, STATE, Law
-from ik_toolkit.servo.viability import CALMED, POSITION, VELOCITY, approach
+from ik_toolkit.servo.laws import LAW, Law
+from ik_toolkit.servo.viability import BIT, approach
+from ik_toolkit.servo.workspace import STATE
 
 H = 0.01
 
@@ -62,7 +64,7 @@ def test_what_is_fed_back():
 
 
 def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
-    at_limit, s = (POSITION, 0), standing()
+    at_limit, s = (BIT.position, 0), standing()
     state = new_state()
     for k in range(11):
         assert not stuck(law(), s, LIMITS, 1.0, H, state), k
@@ -79,7 +81,7 @@ def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
     )
     assert state[STATE.share] == state[STATE.nearest] == 0.0
     state = new_state(share=1.0, stalled=1.0, nearest=1.0)
-    assert not stuck(law(mode=CLIP), s, LIMITS, 1.0, H, state), "something else gives way"
+    assert not stuck(law(mode=MODE.clip), s, LIMITS, 1.0, H, state), "something else gives way"
     assert state[STATE.share] == 0.0
     state = new_state(stalled=1.0, nearest=1.0)
     assert not stuck(law(kappa=0.0), s, LIMITS, 1.0, H, state), "nothing is fed back"
@@ -97,18 +99,18 @@ def test_slow_joints_are_not_stuck_while_they_go_as_fast_as_they_may():
         state, ever = new_state(), False
         for k in range(40):
             ever = stuck(law(), s, limits, (error - 0.002 * H * k) ** 2, H, state) or ever
-            noticed(state, [0.0, 1.0], [0.0, 1.0], code=(POSITION, VELOCITY))
+            noticed(state, [0.0, 1.0], [0.0, 1.0], code=(BIT.position, BIT.velocity))
         assert ever == (share < damped_descent.DESCENT.pace), top
 
 
 def test_what_hinders_joints():
     for code, near, x, hindered in (
-        ((POSITION, 0), 0.0, 1.0, True),
-        ((VELOCITY, 0), 0.0, 1.0, False),
+        ((BIT.position, 0), 0.0, 1.0, True),
+        ((BIT.velocity, 0), 0.0, 1.0, False),
         ((0, 0), 1.2, 1.0, True),
         ((0, 0), 0.0, 1.0, False),
         ((0, 0), 0.0, 0.3, True),  # 0.4 is a hundredth of what is fed back
-        ((VELOCITY, 0), 0.0, 0.3, False),
+        ((BIT.velocity, 0), 0.0, 0.3, False),
     ):
         state = noticed(new_state(near=near), [x, 0.0], [x, 0.0], code=code)
         assert state[STATE.stalled] == (H if hindered else 0.0), (code, near, x)
@@ -207,4 +209,4 @@ def test_joints_can_stop_at_the_end_of_their_way(n):
     for i in range(n):
         most = approach(abs(way[i]), 0.0, 1.0, H, 5.0, H) if i != 1 else np.inf
         assert s.roof[i] == pytest.approx(min(roof[i], most)) and s.floor[i] == pytest.approx(max(floor[i], -most))
-    assert s.why_top[2] == CALMED and s.why_top[1] == 0
+    assert s.why_top[2] == BIT.calmed and s.why_top[1] == 0

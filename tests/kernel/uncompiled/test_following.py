@@ -7,7 +7,8 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.servo import laws, null_space_motion, target_stream
-from ik_toolkit.servo.laws import LAW, STATE, Law
+from ik_toolkit.servo.laws import LAW, Law
+from ik_toolkit.servo.workspace import STATE
 
 
 def law(code=LAW.cv, **values):

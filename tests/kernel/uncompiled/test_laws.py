@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import laws, loop
-from ik_toolkit.servo.constrained_step import Allowed
-from ik_toolkit.servo.laws import CLIP, LAW, STATE, Law
+from ik_toolkit.servo.constrained_step import MODE, Allowed
+from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import approach
+from ik_toolkit.servo.workspace import STATE
 
 
 def law(code=LAW.cv, **values):
@@ -162,9 +163,10 @@ def test_what_was_held_back_becomes_the_earlier_command():
 
 def test_rates_that_cannot_be_followed():
     for mode, runaway, brake, wanted, h, stop in (
-        (CLIP, 1.0, 0.0, [0.5, -0.5], 1.0, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.3, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.4, 2),
+        (MODE.clip, 1.0, 0.0, [0.5, -0.5], 1.0, 0), (MODE.clip, 1.0, 0.0, [3.0, -3.0], 0.3, 0),
+        (MODE.clip, 1.0, 0.0, [3.0, -3.0], 0.4, 2),
         (0, 1.0, 0.0, [3.0, -3.0], 0.4, 0), (0, 1.0, 0.0, [np.nan, 1.0], 0.1, 1), (0, np.inf, 0.0, [np.nan, 1.0], 0.1, -1),
-        (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
+        (MODE.clip, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
     ):  # fmt: skip
         x, state = np.array(wanted), np.zeros(len(STATE))
         ended, still = loop.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)

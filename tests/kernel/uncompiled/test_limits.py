@@ -145,11 +145,11 @@ def test_who_holds_the_neighbourhood_back():
 def test_why_an_attempt_stands_still():
     near = ends_of([-1.0, -1.0], [1.0, 1.0], [0.0, 0.0])
     for q, slopes, boxed, why in (
-        ([0.0, 0.0], [1.0, 1.0], True, checks.STALLED), ([-1.0, 1.0], [-1.0, 1.0], True, checks.LIMIT_BLOCKED),
-        ([1.0, -1.0], [1.0, -1.0], True, checks.LIMIT_BLOCKED), ([1.0, -1.0], [-1.0, 1.0], True, checks.STALLED),
-        ([-1.0, 1.0], [-1.0, 1.0], False, checks.STALLED), ([-1.0, 0.0], [-1.0, 0.009], True, checks.LIMIT_BLOCKED),
-        ([-1.0, 0.0], [-1.0, 0.011], True, checks.STALLED), ([0.0, 0.0], [0.0, 0.0], True, checks.SINGULAR),
-        ([0.0, 0.0], [0.0, 3.0e-8], True, checks.SINGULAR), ([0.0, 0.0], [0.0, 4.0e-8], True, checks.STALLED),
+        ([0.0, 0.0], [1.0, 1.0], True, checks.CODE.stalled), ([-1.0, 1.0], [-1.0, 1.0], True, checks.CODE.limit_blocked),
+        ([1.0, -1.0], [1.0, -1.0], True, checks.CODE.limit_blocked), ([1.0, -1.0], [-1.0, 1.0], True, checks.CODE.stalled),
+        ([-1.0, 1.0], [-1.0, 1.0], False, checks.CODE.stalled), ([-1.0, 0.0], [-1.0, 0.009], True, checks.CODE.limit_blocked),
+        ([-1.0, 0.0], [-1.0, 0.011], True, checks.CODE.stalled), ([0.0, 0.0], [0.0, 0.0], True, checks.CODE.singular),
+        ([0.0, 0.0], [0.0, 3.0e-8], True, checks.CODE.singular), ([0.0, 0.0], [0.0, 4.0e-8], True, checks.CODE.stalled),
     ):  # fmt: skip
         p, look = standing(q, slopes)  # 1e-16 of 12 entries of 1: slopes below 3.46e-8 are rounding
         assert checks.standstill(p, look, near, boxed) == why, (q, slopes)

@@ -8,10 +8,10 @@ import random_arms as arms
 
 from ik_toolkit.kernel import search
 from ik_toolkit.kernel import starts as tree_starts
-from ik_toolkit.kernel.checks import CONVERGED
-from ik_toolkit.kernel.counted_error import FREE, POSE
+from ik_toolkit.kernel.checks import CODE
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.kernel.packed_model import join
-from ik_toolkit.kernel.records import ANSWER, AT, Orders, Task
+from ik_toolkit.kernel.records import AT, SIZE, Orders, Task
 from ik_toolkit.kernel.starts import rnd
 from ik_toolkit.solvers.registry import find_row
 
@@ -26,11 +26,11 @@ def found(T, chain, o, q0=None, rule="lm", n_history=0):
     cls = find_row(rule).load()
     n = chain.n
     parameters = list(cls()) if isinstance(cls(), tuple) else []
-    pack = np.array([*o, *Task(float(POSE)), *np.ones(n), *parameters])
-    out = np.full(len(T) * (ANSWER + n) + n_history * (3 + n), np.nan)
+    pack = np.array([*o, *Task(float(KIND.pose)), *np.ones(n), *parameters])
+    out = np.full(len(T) * (SIZE.answer + n) + n_history * (3 + n), np.nan)
     q0 = np.zeros((1, n)) if q0 is None else q0
     search.entry(cls)(join(chain.rows, chain.ends, chain.seeds, chain.features), T, q0, out, pack)
-    rows = len(T) * (ANSWER + n)
+    rows = len(T) * (SIZE.answer + n)
     return out[:rows].reshape(len(T), -1), out[rows:].reshape(n_history, 3 + n)
 
 
@@ -48,10 +48,10 @@ def test_the_closest_of_several_answers():
     chain, rows, base, tip, T, near = case()
     closest, _ = found(T[:1], chain, BASIC._replace(closest=3.0), near[:1])
     alone, _ = found(T[:1], chain, BASIC)
-    gap = [np.abs(o[0, ANSWER:] - near[0]).max() for o in (closest, alone)]
-    assert closest[0, AT.status] == CONVERGED and gap[0] <= gap[1] + 1e-9
+    gap = [np.abs(o[0, SIZE.answer :] - near[0]).max() for o in (closest, alone)]
+    assert closest[0, AT.status] == CODE.converged and gap[0] <= gap[1] + 1e-9
     assert closest[0, AT.restarts] > alone[0, AT.restarts] and closest[0, AT.attempt] <= closest[0, AT.restarts]
-    np.testing.assert_allclose(arms.fk(rows, base, tip, closest[0, ANSWER:])[0], T[0], atol=3e-8)
+    np.testing.assert_allclose(arms.fk(rows, base, tip, closest[0, SIZE.answer :])[0], T[0], atol=3e-8)
 
 
 # -------------------------------------------------------------------------------------------------------- several tips
@@ -68,11 +68,11 @@ def starts(kinds, others=(-1.0, -1.0), moves=((1, 1, 0, 0), (0, 1, 1, 0))):
 
 def test_which_tip_chooses_a_coordinate():
     for kinds, others, moves, choosers in (
-        ((POSE, POSE), (-1, -1), [[1, 1, 0, 0], [0, 1, 1, 0]], [[0, 0, 1, -1], [1, 2, 1, 0]]),
-        ((FREE, POSE), (-1, -1), [[0, 0, 0, 0], [0, 1, 1, 0]], [[-1, 1, 1, -1], [0, 1, 1, 0]]),
-        ((FREE, POSE), (-1, 0), [[0, 0, 0, 0], [1, 1, 1, 0]], [[0, 1, 1, -1], [1, 2, 1, 0]]),
-        ((POSE, FREE), (-1, -1), [[1, 1, 0, 0], [0, 0, 0, 0]], [[0, 0, -1, -1], [1, 1, 0, 0]]),
-        ((POSE, POSE), (-1, 0), [[1, 1, 0, 0], [1, 1, 1, 0]], [[0, 0, 1, -1], [1, 2, 1, 0]]),
+        ((KIND.pose, KIND.pose), (-1, -1), [[1, 1, 0, 0], [0, 1, 1, 0]], [[0, 0, 1, -1], [1, 2, 1, 0]]),
+        ((KIND.free, KIND.pose), (-1, -1), [[0, 0, 0, 0], [0, 1, 1, 0]], [[-1, 1, 1, -1], [0, 1, 1, 0]]),
+        ((KIND.free, KIND.pose), (-1, 0), [[0, 0, 0, 0], [1, 1, 1, 0]], [[0, 1, 1, -1], [1, 2, 1, 0]]),
+        ((KIND.pose, KIND.free), (-1, -1), [[1, 1, 0, 0], [0, 0, 0, 0]], [[0, 0, -1, -1], [1, 1, 0, 0]]),
+        ((KIND.pose, KIND.pose), (-1, 0), [[1, 1, 0, 0], [1, 1, 1, 0]], [[0, 0, 1, -1], [1, 2, 1, 0]]),
     ):
         *_, m, c = starts(kinds, others)
         np.testing.assert_array_equal(m, moves)
@@ -80,7 +80,7 @@ def test_which_tip_chooses_a_coordinate():
 
 
 def test_starts_of_several_tips():
-    ends, tasks, _, choosers = starts((POSE, FREE))
+    ends, tasks, _, choosers = starts((KIND.pose, KIND.free))
     choosers[:] = [[0, 1, 0, -1], [1, 2, 2, 0]]
     seeds = np.arange(80.0).reshape(20, 4)
     table = SimpleNamespace(
@@ -144,13 +144,13 @@ def test_groups_of_starts_in_order():
         p.poses[f] = 0.25
 
     p.place = place
-    p.tasks = np.array([Task(float(FREE)), Task(1.0, other=0.0)])
+    p.tasks = np.array([Task(float(KIND.free)), Task(1.0, other=0.0)])
     p.links = np.zeros((F, 24))
     p.links[1] = [*np.eye(3).ravel(), 0.1, 0.2, 0.3, *np.eye(3).ravel(), 1.0, 2.0, 3.0]
     tree_starts.rank_groups(p, table)
     assert placed == [0] and np.all(p.goals[0] == 0.25)
     np.testing.assert_allclose(p.goals[1, 9:12], np.array([1.0, 2.0, 3.0]) + 0.25 + 0.25 * 0.6)
     placed.clear()
-    p.tasks = np.array([Task(1.0), Task(float(FREE), other=0.0)])  # carried by the other, so its goal is known
+    p.tasks = np.array([Task(1.0), Task(float(KIND.free), other=0.0)])  # carried by the other, so its goal is known
     tree_starts.rank_groups(p, table)
     assert not placed

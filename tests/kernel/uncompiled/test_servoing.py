@@ -7,13 +7,14 @@ import pytest
 
 from ik_toolkit.kernel.search import SINGULAR_STEP
 from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
-from ik_toolkit.servo.laws import CLIP, LAW, START, STATE, Law
-from ik_toolkit.servo.viability import HELD
+from ik_toolkit.servo.constrained_step import MODE
+from ik_toolkit.servo.laws import LAW, Law
+from ik_toolkit.servo.viability import BIT
+from ik_toolkit.servo.workspace import START, STATE
 
 
 def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": LEAVE, **values})
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": MODE.leave, **values})
 
 
 def scratch(rng, n=7, m=6):
@@ -85,7 +86,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         memory, code = np.full(3, 7.0), np.zeros(3, np.uint8)
         loop.clip_rates(law(LAW.ca), s, still, 0.1, memory, code)
         np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
-        np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
+        np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (BIT.held if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
     assert not loop.by_clipping(law(), s, 0, 0.0, 0.1, None, None, code)
@@ -132,14 +133,14 @@ def test_wishes_are_found_and_added():
             kept = {LAW.cv: 1.0, LAW.ca: 1.0 / h}.get(code, 0.0)
             np.testing.assert_allclose(s.x, base + (1.3 if code in (LAW.cv, LAW.ca) else 1.0) * more, atol=1e-12)
             np.testing.assert_allclose(memory, 7.0 + kept * more, atol=1e-12)
-    assert not command.desired_null_velocity(law(mode=CLIP), s, limits, wish, base)
+    assert not command.desired_null_velocity(law(mode=MODE.clip), s, limits, wish, base)
     assert not command.desired_null_velocity(law(), s, limits, 0.0 * wish, base)
     old = s.at.copy()
     assert command.shift_by_secondary(law(), None, s, limits, wish, base, 0.1)
     np.testing.assert_allclose(s.at, old + 0.1 * s.g)
     assert s.g.any() and not command.shift_by_secondary(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
     s.g[:] = 1.0
-    assert not command.shift_by_secondary(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
+    assert not command.shift_by_secondary(law(mode=MODE.clip), None, s, limits, wish, base, 0.1) and not s.g.any()
     assert not command.skip_shift(None, None, None, None, None, None, None)
 
 
@@ -221,13 +222,13 @@ def test_a_step_of_a_rule():
 # -------------------------------------------------------------------------------------------------- the constrained step
 
 
-@pytest.mark.parametrize("mode", [LEAVE, DIRECT, CLIP])
+@pytest.mark.parametrize("mode", [MODE.leave, MODE.direct, MODE.clip])
 def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mode):
     calmed, cases = (
-        viability.CALMED,
-        ((viability.VELOCITY, 0.0, True), (0, 1.0, True), (0, 0.0, False), (0, -1.0, False)),
+        viability.BIT.calmed,
+        ((viability.BIT.velocity, 0.0, True), (0, 1.0, True), (0, 0.0, False), (0, -1.0, False)),
     )
-    for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | viability.POSITION, 0.0, True)):
+    for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | viability.BIT.position, 0.0, True)):
         s = scratch(np.random.default_rng(5))
         s.size, swings, state = np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
         s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
@@ -238,6 +239,6 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
             )
         swings[0, 0] = 3.0
         loop.limit_oscillation(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
-        gain = viability.CALMING.gain * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
+        gain = viability.CALMING.gain * 0.8 * 0.01 if hindered and mode != MODE.clip else 1.0
         assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
         assert (swings[2] == 1.0).all()

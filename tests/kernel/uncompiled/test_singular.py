@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
-from ik_toolkit.servo.constrained_step import LEAVE
-from ik_toolkit.servo.laws import LAW, STATE, Law
+from ik_toolkit.servo.constrained_step import MODE
+from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.singular_step import WEAK
 from ik_toolkit.servo.viability import approach
-from ik_toolkit.servo.workspace import bench_on, bench_space
+from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
 
 
 def test_modes_of_a_pose_nearby_are_a_start(turns):
@@ -184,7 +184,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             s.e[:] -= 0.99 * (U[:, k - 1] @ s.e) * U[:, k - 1]
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
-        given = {"code": code, "gamma": 1.0, "mode": LEAVE, "damping": 0.05, "kappa": 4.0}
+        given = {"code": code, "gamma": 1.0, "mode": MODE.leave, "damping": 0.05, "kappa": 4.0}
         law = Law(**{**dict.fromkeys(Law._fields, 0.0), **given})
         limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 2.0), np.full(n, np.inf)])
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)

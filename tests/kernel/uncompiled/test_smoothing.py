@@ -6,9 +6,9 @@ import random_arms as arms
 from scipy.optimize import approx_fprime
 
 from ik_toolkit.kernel import null_space
-from ik_toolkit.kernel.counted_error import POSE, POSITION
-from ik_toolkit.kernel.null_space import MANIPULABILITY, MID_RANGE, REFERENCE, Bounds, make_bounds
-from ik_toolkit.kernel.records import ANSWER, AT, Ends, Orders, Task
+from ik_toolkit.kernel.counted_error import KIND
+from ik_toolkit.kernel.null_space import OBJECTIVE, Bounds, make_bounds
+from ik_toolkit.kernel.records import AT, SIZE, Ends, Orders, Task
 from ik_toolkit.kernel.serial import make_serial
 from ik_toolkit.paths import smoothing
 
@@ -109,7 +109,7 @@ def test_a_newton_step_holds_what_would_leave_its_limits():
     assert not x[::2].any() and held[::2].all() and not held[[1]].all() == bool(x[1])
 
 
-def arm_at(seed, kind=POSE, kinds="tttsttt", part=None):
+def arm_at(seed, kind=KIND.pose, kinds="tttsttt", part=None):
     rng = np.random.default_rng(seed)
     chain, rows, base, tip = arms.arm(rng, kinds)
     t = np.array(Task(float(kind), **(part or {})))
@@ -148,9 +148,9 @@ def test_limits_as_an_objective_counts_them():
         np.concatenate([np.zeros(24), [-1, -9, -2e15, -3], [2, 9, 2e15, 3], [0, 2, 0, 1], np.ones(4), np.zeros(13)]), 4
     )
     for what, limits, counted in (
-        (MID_RANGE, True, [1, 0, 0, 1]),
-        (REFERENCE, False, [1, 1, 1, 1]),
-        (MANIPULABILITY, True, [1, 0, 0, 1]),
+        (OBJECTIVE.mid_range, True, [1, 0, 0, 1]),
+        (OBJECTIVE.reference, False, [1, 1, 1, 1]),
+        (OBJECTIVE.manipulability, True, [1, 0, 0, 1]),
     ):
         box = make_bounds(np.empty((3, 4)), ends, what, limits)
         low, high = np.array([-1, -np.inf, -2e15, -3.0]), np.array([2, np.inf, 2e15, 3.0])
@@ -159,7 +159,7 @@ def test_limits_as_an_objective_counts_them():
         assert [box.counted(i) for i in range(4)] == counted
 
 
-@pytest.mark.parametrize("kind", [POSE, POSITION])
+@pytest.mark.parametrize("kind", [KIND.pose, KIND.position])
 def test_objectives_and_where_they_fall(kind):
     rng, chain, rows, base, tip, p, q, _ = arm_at(4, kind)
     ends, n = Ends(chain.ends, chain.n), chain.n
@@ -169,7 +169,7 @@ def test_objectives_and_where_they_fall(kind):
     span, weights = (chain.upper - chain.lower) / chain.unit, rng.uniform(0.2, 3.0, chain.n)
 
     def volume(y):
-        J = arms.jacobian(rows, base, tip, y * chain.unit, 1e-5)[: 3 if kind == POSITION else 6]
+        J = arms.jacobian(rows, base, tip, y * chain.unit, 1e-5)[: 3 if kind == KIND.position else 6]
         J = J / np.array([chain.scale] * 3 + [1.0] * 3)[: len(J), None]
         return 0.5 * np.linalg.slogdet(J @ J.T)[1]
 
@@ -180,16 +180,16 @@ def test_objectives_and_where_they_fall(kind):
 
     middle = 0.5 * (chain.lower + chain.upper) / chain.unit
     counted = np.array([box.counted(i) for i in range(n)])
-    assert value(MID_RANGE, x) == pytest.approx((counted * 0.5 * ((x - middle) / span) ** 2).sum())
-    assert value(REFERENCE, x) == pytest.approx((counted * 0.5 * (x - ref / chain.unit) ** 2 / weights).sum())
-    assert value(MANIPULABILITY, x) == pytest.approx(-volume(x), rel=1e-6)
+    assert value(OBJECTIVE.mid_range, x) == pytest.approx((counted * 0.5 * ((x - middle) / span) ** 2).sum())
+    assert value(OBJECTIVE.reference, x) == pytest.approx((counted * 0.5 * (x - ref / chain.unit) ** 2 / weights).sum())
+    assert value(OBJECTIVE.manipulability, x) == pytest.approx(-volume(x), rel=1e-6)
     z = np.empty(n)
-    for what, goal in ((MID_RANGE, middle), (REFERENCE, ref / chain.unit)):
+    for what, goal in ((OBJECTIVE.mid_range, middle), (OBJECTIVE.reference, ref / chain.unit)):
         value(what, x)
         null_space.downhill(p, what, ends, box, ref, 0.0, z)
         np.testing.assert_allclose(z, counted * (goal - x), rtol=1e-12)
-    now = value(MANIPULABILITY, x)
-    null_space.downhill(p, MANIPULABILITY, ends, box, ref, now, z)
+    now = value(OBJECTIVE.manipulability, x)
+    null_space.downhill(p, OBJECTIVE.manipulability, ends, box, ref, now, z)
     slope = [(volume(x + 1e-4 * e) - volume(x - 1e-4 * e)) / 2e-4 for e in np.eye(n)]
     np.testing.assert_allclose(2.0 * z, slope, atol=5e-4)
     np.testing.assert_allclose(p.desk.q, x, atol=1e-12)
@@ -228,17 +228,17 @@ def test_what_moves_no_tip():
     assert null_space.secant(old, before, way, way - 1e6 * s, 0.37) == 1e-3
 
 
-@pytest.mark.parametrize("what", [MID_RANGE, REFERENCE, MANIPULABILITY])
+@pytest.mark.parametrize("what", [OBJECTIVE.mid_range, OBJECTIVE.reference, OBJECTIVE.manipulability])
 def test_a_solution_is_improved_to_where_it_cannot_be_any_more(what):
     rng, chain, rows, base, tip, p, q, T = arm_at(6)
     n = chain.n
-    row = np.zeros(ANSWER + n)
-    row[ANSWER:] = q
+    row = np.zeros(SIZE.answer + n)
+    row[SIZE.answer :] = q
     o = ORDERS._replace(tol_p=1e-8, tol_r=1e-8)
-    ref = 0.5 * (chain.lower + chain.upper) if what == REFERENCE else np.zeros(n)
-    pack = np.array([*o, *Task(float(POSE)), *np.ones(n)])
+    ref = 0.5 * (chain.lower + chain.upper) if what == OBJECTIVE.reference else np.zeros(n)
+    pack = np.array([*o, *Task(float(KIND.pose)), *np.ones(n)])
     null_space.refine(chain.rows, chain.ends, T[None], row, ref, pack, what, 60)
-    x = row[ANSWER:]
+    x = row[SIZE.answer :]
     np.testing.assert_allclose(arms.fk(rows, base, tip, x)[0], T, atol=3e-8)
     assert row[AT.position] < 1e-8 and row[AT.rotation] < 1e-8
     span = chain.upper - chain.lower
@@ -247,7 +247,7 @@ def test_a_solution_is_improved_to_where_it_cannot_be_any_more(what):
     unit = chain.unit
 
     def value(y):
-        if what == MANIPULABILITY:
+        if what == OBJECTIVE.manipulability:
             K = arms.jacobian(rows, base, tip, y, 1e-5)
             return -0.5 * np.linalg.slogdet(K @ K.T)[1]
         return 0.5 * (((y - 0.5 * (chain.lower + chain.upper)) / span) ** 2).sum()
@@ -256,7 +256,7 @@ def test_a_solution_is_improved_to_where_it_cannot_be_any_more(what):
     assert value(x) < value(q)
     if inside:
         d = 1e-3 * null * unit
-        assert abs(value(x + d) - value(x - d)) / 2e-3 < (2e-2 if what == MANIPULABILITY else 2e-3)
+        assert abs(value(x + d) - value(x - d)) / 2e-3 < (2e-2 if what == OBJECTIVE.manipulability else 2e-3)
 
 
 def test_a_path_gets_smooth_and_keeps_its_poses():
@@ -267,7 +267,7 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     noise = 0.02 * rng.normal(size=(N, n)) * chain.unit
     noise[[0, 4, -1]] = 0.0
     Q, good = goals + noise, np.zeros(N, bool)
-    pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
+    pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(KIND.pose)), *np.ones(n)])
     smoothing.settle_rows(chain.rows, chain.ends, T, Q, pack, good)
     assert good.all()
     for k in range(N):

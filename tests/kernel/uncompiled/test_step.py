@@ -10,23 +10,14 @@ from random_arms import orders, task
 from ik_toolkit.kernel.serial import make_serial
 from ik_toolkit.servo import command, equality_qp, hierarchical_qp, loop
 from ik_toolkit.servo import constrained_step as constrain_module
-from ik_toolkit.servo.constrained_step import (
-    CAUTIOUS,
-    DIRECT,
-    LEAVE,
-    Allowed,
-    StepTaken,
-    TaskRate,
-    constrain,
-    make_room,
-)
-from ik_toolkit.servo.laws import AT_RATE_AND_STEP, LAW, START, STATE, Law
-from ik_toolkit.servo.viability import RECOVERING, ROW
-from ik_toolkit.servo.workspace import bench_on, bench_space
+from ik_toolkit.servo.constrained_step import CAUTION, MODE, Allowed, StepTaken, TaskRate, constrain, make_room
+from ik_toolkit.servo.laws import LAW, READING, Law
+from ik_toolkit.servo.viability import BIT
+from ik_toolkit.servo.workspace import START, STATE, bench_on, bench_space
 
 
 def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": LEAVE, **values})
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": MODE.leave, **values})
 
 
 def bench(n, m, rows=3):
@@ -49,7 +40,7 @@ def test_a_law(code):
     rate, memory = rng.normal(size=n), rng.normal(size=n)
     old, state = memory.copy(), np.zeros(len(STATE))
     state[STATE.start], state[STATE.period] = START.running, 0.04
-    rule = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=AT_RATE_AND_STEP)
+    rule = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=READING.at_rate_and_step)
     limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 1e12), np.full(n, np.inf)])
     settings = SimpleNamespace(counts=np.zeros((3, m)), limits=limits, wish=np.zeros((3, n)))
     own = SimpleNamespace(
@@ -100,28 +91,28 @@ def given(mode, roof=0.5, h=0.1, plane=None, want=None, mu=0.0):
 
 
 def test_what_limits_make_of_the_rates_wanted():
-    for mode in (LEAVE, DIRECT):
+    for mode in (MODE.leave, MODE.direct):
         held, x, code, _ = given(mode, 1.5)
         assert not held and not code.any()
         np.testing.assert_array_equal(x, 1.0)
         held, x, code, active = given(mode, mu=0.3)
         assert held and code.tolist() == [1, 0, 0, 0, 0, 0] and active[0] == 1
         np.testing.assert_allclose(x, [0.5, *[1.0 / 1.3] * 5], atol=1e-12)
-    held, x, code, active = given(LEAVE)
+    held, x, code, active = given(MODE.leave)
     assert held and code.tolist() == [1, 0, 0, 0, 0, 0] and active[0] == 1
-    damped = 1.0 / (1.0 + CAUTIOUS * 0.1 * 0.5)  # by what is left, 0.5
+    damped = 1.0 / (1.0 + CAUTION.bend * 0.1 * 0.5)  # by what is left, 0.5
     np.testing.assert_allclose(x, [0.5, *[damped] * 5], atol=1e-9)
     row = np.array([0.0, 0.1, 0.0, 0.9, 0.0, 0.0])
-    held, x, code, active = given(LEAVE, 2.0, plane=(row, 0.3))
-    assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(0.3)
-    held, x, code, _ = given(LEAVE, 2.0, want=np.array([1.0, 1, 1, 1, 1, -3.0]))
-    assert held and code[5] == 2 and x[5] == -2.0 and RECOVERING == 16
+    held, x, code, active = given(MODE.leave, 2.0, plane=(row, 0.3))
+    assert held and code.tolist() == [0, 0, 0, BIT.row, 0, 0] and row @ x == pytest.approx(0.3)
+    held, x, code, _ = given(MODE.leave, 2.0, want=np.array([1.0, 1, 1, 1, 1, -3.0]))
+    assert held and code[5] == 2 and x[5] == -2.0 and BIT.recovering == 16
     row = np.array([0.0, 0.1, 0.0, -0.9, 0.0, 0.0])  # the joint that the row holds most, whichever way
-    held, x, code, _ = given(LEAVE, 2.0, plane=(row, -1.0))
-    assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(-1.0)
+    held, x, code, _ = given(MODE.leave, 2.0, plane=(row, -1.0))
+    assert held and code.tolist() == [0, 0, 0, BIT.row, 0, 0] and row @ x == pytest.approx(-1.0)
 
 
-@pytest.mark.parametrize("mode", [LEAVE, DIRECT])
+@pytest.mark.parametrize("mode", [MODE.leave, MODE.direct])
 def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mode):
     counted, problems = [], []
     solve, equality = constrain_module.solve_levels, hierarchical_qp.equality

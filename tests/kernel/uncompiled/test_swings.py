@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.servo.viability import CALMED, CALMING, RECOVERING, RateBox, calm, watch
+from ik_toolkit.servo.viability import BIT, CALMING, RateBox, calm, watch
 
 
 def test_joints_that_turn_back_often_swing():
@@ -56,7 +56,7 @@ def test_a_calm_box_is_a_part_of_the_box():
         rate, size, h = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.1, 30.0, 4), 0.01
         low = rng.uniform(-1.0, 1.0, 4)
         top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
-        floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
+        floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | BIT.recovering], (2, 4)).astype(np.uint8)
         swings = np.array([rng.integers(0, 5, 4), np.zeros(4), np.zeros(4)])
         code, more = why.copy(), 1.0 + CALMING.growth * h
         gain = np.where(swings[0] < CALMING.reversals, np.inf, CALMING.gain * size * h)
@@ -67,6 +67,6 @@ def test_a_calm_box_is_a_part_of_the_box():
         assert np.allclose(floor, np.clip(more * np.minimum(rate, 0.0) - gain, low, top), atol=1e-15)
         assert np.allclose(roof, np.clip(more * np.maximum(rate, 0.0) + gain, low, top), atol=1e-15)
         for side, moved in ((0, floor > low), (1, roof < top)):
-            assert ((code[side] & CALMED) > 0).tolist() == moved.tolist()
+            assert ((code[side] & BIT.calmed) > 0).tolist() == moved.tolist()
             assert (code[side][~moved] == why[side][~moved]).all()
-            assert ((code[side] & RECOVERING) == (why[side] & RECOVERING)).all()
+            assert ((code[side] & BIT.recovering) == (why[side] & BIT.recovering)).all()

@@ -10,7 +10,7 @@ from random_arms import PARTS, errors, orders, task
 
 from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import pack_tree
-from ik_toolkit.kernel.counted_error import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
+from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import WHAT, Ends
 from ik_toolkit.kernel.tree import make_tree
 
@@ -81,9 +81,9 @@ def apart(parts, q, T, tasks_, scale):
     for f, (rows, base, tip, place) in enumerate(parts):
         other = int(tasks_[f][WHAT.other])
         goal = poses[other] @ T[f] if other >= 0 else T[f]
-        if int(tasks_[f][WHAT.kind]) == POSITION:
+        if int(tasks_[f][WHAT.kind]) == KIND.position:
             out.append([*((goal[:3, 3] - poses[f][:3, 3]) / scale), 0, 0, 0])
-        elif int(tasks_[f][WHAT.kind]) == FREE:
+        elif int(tasks_[f][WHAT.kind]) == KIND.free:
             out.append(np.zeros(6))
         else:
             out.append(errors(rows, base, tip, q[place], goal, tasks_[f], scale))
@@ -91,20 +91,20 @@ def apart(parts, q, T, tasks_, scale):
 
 
 @pytest.mark.parametrize("other", [False, True])
-@pytest.mark.parametrize("frame", [BASE, TIP, TARGET])
+@pytest.mark.parametrize("frame", [AXES.base, AXES.tip, AXES.target])
 @pytest.mark.parametrize("part", [0, 2, 3])
 def test_errors_of_several_tips_and_their_derivative(other, frame, part):
     rng = np.random.default_rng(70 + 10 * part + frame)
     tree, parts = pair(rng)
     n = len(tree.lower)
     each = [
-        task(PART, frame=float(frame), **PARTS[part]),
-        task(PART, frame=float(frame), other=0.0 if other else -1.0, **PARTS[part]),
+        task(KIND.part, frame=float(frame), **PARTS[part]),
+        task(KIND.part, frame=float(frame), other=0.0 if other else -1.0, **PARTS[part]),
     ]
-    if part == 0 and frame == BASE:
-        each[0] = task(POSITION)
-    if part == 0 and frame == TIP:
-        each[0] = task(FREE)
+    if part == 0 and frame == AXES.base:
+        each[0] = task(KIND.position)
+    if part == 0 and frame == AXES.tip:
+        each[0] = task(KIND.free)
     p = make_tree(tree.rows, tree.ends, np.concatenate(each), n, orders())
     q, goal = (rng.uniform(tree.lower, tree.upper) for _ in range(2))
     T = np.array([arms.fk(rows, base, tip, goal[place])[0] for rows, base, tip, place in parts])
@@ -120,7 +120,7 @@ def test_errors_of_several_tips_and_their_derivative(other, frame, part):
     def turned_(e):
         """POSITION errors are in the first joint's axes."""
         e = e.copy()
-        if int(each[0][WHAT.kind]) == POSITION:
+        if int(each[0][WHAT.kind]) == KIND.position:
             e[:3] = parts[0][1][:3, :3].T @ e[:3]
         return e
 
@@ -148,7 +148,7 @@ def test_errors_of_several_tips_and_their_derivative(other, frame, part):
     p.toward(np.arange(12.0), 0.01)
     np.testing.assert_allclose(p.desk.dq, w * (J @ np.linalg.solve(A, np.arange(12.0))), rtol=1e-6, atol=1e-6)
     p.keep(look, 2)
-    free = int(each[0][WHAT.kind]) == FREE
+    free = int(each[0][WHAT.kind]) == KIND.free
     for f in range(2):
         left = p.left_at(2, f)
         e = y[6 * f : 6 * f + 6]
@@ -177,7 +177,7 @@ def test_whole_poses_of_several_tips():
     tree, parts = pair(rng)
     n = len(tree.lower)
     tol = orders(tol_p=1e-3, tol_r=1e-3)
-    p = make_tree(tree.rows, tree.ends, np.concatenate([task(), task(POSITION)]), n, tol)
+    p = make_tree(tree.rows, tree.ends, np.concatenate([task(), task(KIND.position)]), n, tol)
     assert p.plain()
     q = rng.uniform(tree.lower, tree.upper)
     T = np.array([arms.fk(rows, base, tip, q[place])[0] for rows, base, tip, place in parts])
@@ -219,7 +219,7 @@ def test_whole_poses_of_several_tips():
     bad = T.copy()
     bad[0, 0, 0] = np.nan
     assert p.aim(bad, tol) == -1.0
-    linked = make_tree(tree.rows, tree.ends, np.concatenate([task(), task(POSE, other=0.0)]), n, tol)
+    linked = make_tree(tree.rows, tree.ends, np.concatenate([task(), task(KIND.pose, other=0.0)]), n, tol)
     assert linked.aim(T[:, :, :], tol) == 0.0 and not linked.plain()
     bad = T.copy()
     bad[1, 3, 3] = 2.0

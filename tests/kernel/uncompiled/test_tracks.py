@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 import random_arms as arms
 
-from ik_toolkit.kernel.counted_error import POSE
+from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.kernel.records import Orders, Task
 from ik_toolkit.paths import continuation, shortest_path
 
@@ -44,7 +44,7 @@ def test_solutions_are_carried_along_poses():
     goals = q + np.linspace(-0.12, 0.12, N)[:, None] * rng.normal(size=n)
     T = np.array([arms.fk(rows, base, tip, g)[0] for g in goals])
     bounds = np.array([np.full(n, -9.0), np.full(n, 9.0), np.ones(n)])
-    pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
+    pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(KIND.pose)), *np.ones(n)])
 
     def carried(most, deviation=(1e-2, 1e-2), broken=None):
         Q, span = np.full((N, 2, n), np.nan), np.full((2, 2), -1)
