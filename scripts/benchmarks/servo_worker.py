@@ -262,8 +262,7 @@ class Ours:
 
     def loop(self, T):
         """Seconds a step in the compiled loop, over all targets at once, as `ik.track` takes a path."""
-        from ik_toolkit.servo.target_stream import samples_from
-        from ik_toolkit.servo.workspace import new_record
+        from ik_toolkit.servo.workspace import new_record, samples_from
 
         N, tracker = len(T), self.tracker
         V = np.zeros((N, 6 * T.shape[1]))
