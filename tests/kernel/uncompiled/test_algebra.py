@@ -67,15 +67,6 @@ def test_places_in_memory():
     np.testing.assert_array_equal(out, [0, 7, 8, 9, 0, *A[4:13], 0, 0, 0, 0, 0, 0])
 
 
-def test_sine_and_cosine_to_the_last_digits():
-    x = np.concatenate([np.linspace(-40.0, 40.0, 401), np.arange(-9, 10) * 0.5 * math.pi, [3e5, -1e7]])
-    s, c = algebra.sincos(x)
-    assert np.abs(s - np.sin(x)).max() < 1e-14 and np.abs(c - np.cos(x)).max() < 1e-14
-    x = x[np.abs(x) < 30.0]
-    s, c = algebra.sincos(x)
-    assert np.abs(s - np.sin(x)).max() < 1.5e-15 and np.abs(c - np.cos(x)).max() < 1.5e-15
-
-
 def test_rotations_left_and_their_measures():
     rng = np.random.default_rng(2)
     for angle in (0.0, 1e-9, 1e-5, 3e-4, 0.4, 1.5, 2.2, 3.0, math.pi - 1e-4, math.pi - 3e-5, math.pi - 1e-6):
