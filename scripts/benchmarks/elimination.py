@@ -241,14 +241,20 @@ def timed(work: Callable[[np.ndarray], object], T: list[np.ndarray], calls: int 
 
 
 def times(names: tuple[str, ...], seed: int) -> dict[str, dict[str, list[float]]]:
-    """Time calls from Python: the list without limits, and a solve that proves a no."""
+    """Time calls from Python: the list without limits, a solve that proves a no, and solves half of which may be out of reach."""
     table = {}
     for name in names:
         robot, rng = ik.Robot.load(name), np.random.default_rng(seed)
         T = [robot.fk(q).homogeneous for q in rng.uniform(-np.pi, np.pi, (200, 6))]
         solver = ik.Solver(robot)
         nothing = [t for t in T if solver(t).solver == "elimination" and not solver(t).success]
-        table[name] = {"Solver.all": timed(ik.Solver(robot, limits=False).all, T)}
+        mixed = [robot.fk(robot.random_q(rng)).homogeneous for _ in range(200)]
+        for one in mixed[::2]:
+            one[:3, 3] = rng.uniform(-0.7, 0.7, 3) * robot.reach
+        table[name] = {
+            "Solver.all": timed(ik.Solver(robot, limits=False).all, T),
+            "Solver, mixed": timed(solver, mixed),
+        }
         if nothing:
             table[name]["Solver, a no"] = timed(solver, nothing)
     return table
