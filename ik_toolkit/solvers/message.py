@@ -28,7 +28,8 @@ ADVICE = {
     Status.UNREACHABLE: "move the target inside the reach",
     Status.SINGULAR: "start from another q0, or use the default solver with restarts",
     Status.NOT_FINITE: "lower the gains",
-    Status.CHECK_FAILED: "please report this with the robot and the target",
+    Status.CHECK_FAILED: "raise a tolerance below 1e-14 of the reach, which is rounding; else please report this with the "
+    "robot and the target",
     Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
     Status.CONSTRAINT_OPEN: "try another q0 or target; no solver keeps constraints",
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",

@@ -40,7 +40,7 @@ class BatchCheckFailed(IKError):
         doubt = f" The {before} results already returned cannot be trusted either." if before else ""
         super().__init__(
             f"Pinocchio does not confirm the result for target {target}, so no result of this batch can be trusted.{doubt}"
-            " Please report this with the robot and the target."
+            " A tolerance below 1e-14 of the reach is rounding; else please report this with the robot and the target."
         )
         self.result = result
         self.target = target
