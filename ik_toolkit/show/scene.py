@@ -19,7 +19,7 @@ from .body import Body, DrawnShape, drawn_shape, mapped, primitive, revolved, st
 from .feed import Guest
 from .meshcat_server import Cloud, Window, write_page
 from .notebook import InCell, PageInCell
-from .scene_state import Color, css, read_color, read_opacity, read_text
+from .scene_state import Color, css, read_color, read_labels, read_opacity, read_text
 
 RED = (0.80, 0.20, 0.15)
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours of x, y and z axes
@@ -123,7 +123,7 @@ class Scene(InCell):
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
         """Draw translucent copies of the robot at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
-        rows, names = animation.shown_rows(self.robot, Q)[0][:MAX_GHOSTS], [*labels]
+        rows, names = animation.shown_rows(self.robot, Q)[0][:MAX_GHOSTS], read_labels(labels)
         for name in [one for one in self._placed if one.startswith("ghost_")][len(rows) :]:
             self._drop(name)
         for k, q in enumerate(rows):
@@ -240,8 +240,7 @@ class Scene(InCell):
         """
         body, base = self._body(read_text(name, "name"))
         Q = animation.shown_rows(body.robot, Q)[0]
-        labels = [f"{k} of {len(Q)}" for k in range(1, len(Q) + 1)] if labels is None else labels
-        labels = [read_text(label, "a label") for label in labels]
+        labels = read_labels([f"{k} of {len(Q)}" for k in range(1, len(Q) + 1)] if labels is None else labels)
         if len(Q) != len(labels):
             raise InvalidOption(f"an animation needs one label per row: {len(Q)} rows, {len(labels)} labels")
         fps, first = positive(fps, "fps"), whole(first, "first", 0)

@@ -1,7 +1,7 @@
 """Contents of a scene by name: robots and their copies, bounding boxes, legend entries, and the drawings of a result."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -54,6 +54,13 @@ def read_text(text: Any, what: str) -> str:
     if what == "name" and "/" in text:
         raise InvalidOption(f"a name has no '/', which leads to the parts of a drawing; got {text!r:.60}")
     return text
+
+
+def read_labels(labels: Any) -> list[str]:
+    """Return a list of texts. Raises InvalidOption for anything else."""
+    if isinstance(labels, str) or not isinstance(labels, Iterable):
+        raise InvalidOption(f"labels must be a list of texts, not {labels!r:.60}")
+    return [read_text(label, "a label") for label in labels]
 
 
 class SceneState(Unique):

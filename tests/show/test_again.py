@@ -310,6 +310,10 @@ def test_an_animation_needs_neither_labels_nor_a_rate(arm):
     scene.animate(np.linspace(arm.home, arm.home + 0.1, 30))
     made = scene.window.about["animation"]
     assert made["count"] == 30 and made["labels"][0] == "1 of 30" and made["fps"] == 25.0
+    for draw in (scene.animate, scene.ghosts):
+        for labels in (3, "one text", [3, 4]):
+            with pytest.raises(InvalidOption, match="label"):
+                draw(np.array([arm.home, arm.home]), labels=labels)
 
 
 def test_two_robots_of_one_model_keep_their_places(arm):
