@@ -75,6 +75,7 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         (["solvers", "lmm"], "Did you mean 'lm'"),
         (["dh", "nothing.toml"], "cannot read"),
         (["check", "nothing.urdf"], "there is no file"),
+        (["check", "/dev/null"], "is not a regular file"),
         (["gains", "planar_2r", "--rate", "0"], "--rate must be positive"),
         (
             ["solve", "hydrolek_7w", "--xyz", "1,5", "0", "0.3"],

@@ -198,7 +198,7 @@ def test_what_does_not_go_together(tmp_path, capsys):
         (["--targets", good, "-o", tmp_path / "out.txt"], "-o FILE"),
         (["--targets", good, "-o", good], "overwrite"),
         (["--targets", tmp_path / "none.csv", "-o", out], "no targets file"),
-        (["--targets", tmp_path, "-o", out], "no targets file"),
+        (["--targets", tmp_path, "-o", out], "is not a regular file"),
         (["--targets", good, "-o", out, "--xyz", 1, 2, 3], "--xyz"),
         (["--xyz", 1, 2, 3, "--threads", 2], "--targets"),
         (["--targets", good, "-o", out, "--threads", 0], "threads"),
