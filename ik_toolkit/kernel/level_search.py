@@ -127,7 +127,8 @@ def search_by_levels(rule, p, job, level, plain, excess):
             # An error below `small` may fall further: another attempt may then meet the tolerance in the same place.
             sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
             known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
-            patience = Patience(patience.iterations, 16.0 if level[0] > 0.0 else 1.0, QUADRATIC.decay, known)
+            decay = QUADRATIC.decay_later if least < 0.0 else QUADRATIC.decay
+            patience = Patience(patience.iterations, 16.0 if level[0] > 0.0 else 1.0, decay, known)
         elif phase == PHASE.out_of_reach:
             patience = Patience(patience.iterations, WORST, 1.0, 0.0)
         before = least

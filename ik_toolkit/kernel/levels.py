@@ -59,8 +59,10 @@ class LevelSteps(NamedTuple):
     # iterations
     table_six: int = 512
     known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
-    # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
-    decay: float = 0.3
+    # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the
+    # second one once an attempt has reached level 0; at the border of the reach the first one must be patient
+    decay: float = 0.5
+    decay_later: float = 0.3
 
 
 QUADRATIC = LevelSteps()
