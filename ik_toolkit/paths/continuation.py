@@ -175,8 +175,7 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
             span[k, 0 if way < 0 else 1] = t
 
 
-MOST = 300  # largest number of tracks (continued solutions) for a redundant robot, to bound time and memory
-ISOLATED = 4096  # largest number of tracks for a robot with finitely many solutions: enough for all of them
+MOST = 4096  # largest number of tracks (continued solutions), to bound time and memory
 STARTS = 1000  # number of random starts from which a pose is solved
 POOL = 400  # number of solutions of a redundant robot from which widely spaced ones are chosen
 SAME = 1e-3  # solutions whose joints all differ by less count as the same [rad, or length over the reach]
@@ -215,13 +214,13 @@ class Tracks:
     to pose span[k, 1] inclusive. `size` is the number of tracks.
     """
 
-    def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
-        """Start without tracks; most: the largest number of tracks, seed: number that fixes the random starts."""
-        self.problem, self.most, self.threads = problem, most, threads
+    def __init__(self, problem: Problem, threads: int, seed: int) -> None:
+        """Start without tracks; seed: number that fixes the random starts."""
+        self.problem, self.threads = problem, threads
         self.rng = np.random.default_rng(seed)
         self.size = 0
-        self._Q = np.zeros((len(problem.T), min(most, MOST), problem.robot.n), np.float32)
-        self._span = np.zeros((most, 2), np.int64)
+        self._Q = np.zeros((len(problem.T), 64, problem.robot.n), np.float32)
+        self._span = np.zeros((MOST, 2), np.int64)
 
     Q = property(lambda self: self._Q)
     span = property(lambda self: self._span[: self.size])
@@ -276,10 +275,10 @@ class Tracks:
 
         Each solution is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
         """
-        seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
+        seeds = np.ascontiguousarray(seeds[: MOST - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:
-            more = min(self.most, max(2 * self._Q.shape[1], self.size + len(seeds))) - self._Q.shape[1]
+            more = min(MOST, max(2 * self._Q.shape[1], self.size + len(seeds))) - self._Q.shape[1]
             self._Q = np.concatenate([self._Q, np.zeros((len(self._Q), more, self._Q.shape[2]), np.float32)], axis=1)
         p, at = self.problem, np.asarray(at, dtype=np.int64)
 

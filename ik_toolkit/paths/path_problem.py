@@ -82,7 +82,7 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m].
+        """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m]; if none converges, as `Solver` does.
 
         Returns the solutions found (m, n) [internal units], with revolute joints shifted by 2 pi k to be nearest the middle of
         their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
@@ -95,9 +95,12 @@ class Problem:
         else:
             single.run(T, self.kinds, Q0, True, out)
         good = out[:, AT.status] == CODE.converged
-        if not good.any():
-            single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
-            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
+        if (
+            not good.any()
+        ):  # The solver's own search has better starts and more patience, and may prove that there is none.
+            out, good = self.plan.solve(T[:1], self.kinds, Q0[:1], True)[None], np.ones(1, dtype=bool)
+            if out[0, AT.status] != CODE.converged:
+                return np.empty((0, n)), max(0.0, out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
         return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..kernel.kinematics import TAU
 from ..solvers.task import counts_in_part
 from ..text import length
 from .contact import Margins
-from .continuation import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
+from .continuation import MOST, POOL, SAME, STARTS, THIN, Tracks, spread
 from .exact_branches import ROUNDING, alive, copies, every_solution, unwound
 from .path_problem import Problem
 from .result import Unreachable
@@ -29,12 +29,15 @@ class Effort(NamedTuple):
     every: int = 20
     anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
     share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
+    first: int = (
+        300  # largest number of tracks of all first anchors of a redundant robot, to bound the time of simple paths
+    )
     tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
     patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
     rounds: int = 8  # listed solutions that lie on no track are added in at most this many rounds; two are usual
     # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
     near: float = 0.003  # With this margin the motion between poses is easily proven free of contact.
-    probes: int = 9  # number of poses without a solution after which a gap (a run of poses without tracks) is given up
+    probes: int = 9  # poses without a solution in a row, after which the others of a gap get fewer attempts
     least: int = 20_000  # A search may make `budget` collision tests per pose of the path, and at least `least` in all.
     budget: int = 200
 
@@ -102,8 +105,9 @@ class Search:
         self.tester: Any = None
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
-        self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
-        self.anchored: dict[int, float] = {}  # for each anchor how far [m] it is proven out of reach (0: not proven)
+        self.tracks = Tracks(problem, threads, seed)
+        # For each anchor how far [m] it is proven out of reach (0: no solution found, but not proven; NaN: solved).
+        self.anchored: dict[int, float] = {}
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
@@ -119,8 +123,8 @@ class Search:
         self.tester = Tester(collides, self.problem.unit, max(EFFORT.budget * len(self.problem.T), EFFORT.least))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
-    def anchor(self, t: int, count: int) -> int:
-        """Solve pose t from many starts, and continue its new solutions along the path as tracks.
+    def anchor(self, t: int, count: int, starts: int = STARTS) -> int:
+        """Solve pose t from so many starts, and continue its new solutions along the path as tracks.
 
         count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
         """
@@ -129,25 +133,26 @@ class Search:
         if Q is not None and sure[t] and self.legal[t].any():
             found, beyond = p.turned(Q[t, self.legal[t]]), 0.0
         else:
-            Q0 = p.robot.random_q(tracks.rng, 1 if sure[t] else STARTS)
+            Q0 = p.robot.random_q(tracks.rng, 1 if sure[t] else starts)
             for q in self.ends:
                 if q is not None:
                     Q0[0] = q * p.unit
             Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
             found, beyond = p.solutions(t, Q0)
-        self.anchored[t] = beyond
+        self.anchored[t] = np.nan if len(found) else beyond
         if not len(found):
             return 0
         if not p.redundant:
-            seeds = spread(found, tracks.at(t), ISOLATED, SAME)
+            seeds = spread(found, tracks.at(t), MOST, SAME)
         else:
             seeds = spread(
                 found[:POOL], tracks.at(t), EFFORT.tried * count if self.collides else count, THIN * p.most.min()
             )
             if self.collides is not None:
                 seeds = self.without_contact(seeds, count)
+        before = tracks.size
         tracks.add(seeds, np.full(len(seeds), t))
-        return len(seeds)
+        return tracks.size - before
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
         """Return the first `count` of the configurations seeds (m, n) [internal units] that are free of contact.
@@ -175,7 +180,9 @@ class Search:
         else:
             places = np.unique(np.append(np.arange(0, N, EFFORT.every), N - 1))
         for k, t in enumerate(places):
-            self.anchor(int(t), EFFORT.share)
+            if p.redundant and self.tracks.size >= EFFORT.first:
+                break
+            self.anchor(int(t), min(EFFORT.share, EFFORT.first - self.tracks.size))
             self.progress(0.7 * (k + 1) / len(places), "extending solutions along the path")
         self.fill()
 
@@ -185,9 +192,10 @@ class Search:
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses at which no track exists: in each gap in bisection order, until EFFORT.probes poses had no solution.
+        """Solve poses at which no track exists, in each gap in bisection order.
 
-        Requested poses come before inserted ones, because an arm with too few joints may reach only the former.
+        Requested poses come before inserted ones, because an arm with too few joints may reach only the former. After EFFORT.probes
+        in a row without a solution, the other requested poses are solved with fewer attempts, and inserted ones not at all.
         """
         alive = self.tracks.alive()
         for gap in _runs(np.flatnonzero(alive == 0)):
@@ -195,12 +203,13 @@ class Search:
             inserted = self.problem.at[order] % 1.0 > 0.0
             missed = 0
             for t in np.append(order[~inserted], order[inserted]).tolist():
-                if missed == EFFORT.probes:
-                    break
-                if alive[t] == 0 and t not in self.anchored:
-                    self.anchor(t, EFFORT.share)
-                    alive = self.tracks.alive()
-                    missed += int(alive[t] == 0)
+                lost = missed >= EFFORT.probes
+                if alive[t] or t in self.anchored or (lost and self.problem.at[t] % 1.0):
+                    continue
+                room = (MOST - self.tracks.size) // int(np.count_nonzero(alive == 0))
+                self.anchor(t, max(1, min(EFFORT.share, room)), 1 if lost else STARTS)
+                alive = self.tracks.alive()
+                missed = 0 if alive[t] else missed + 1
 
     # ----------------------------------------------------------------------------------------------------------- linking
     def link(self) -> None:
@@ -281,9 +290,8 @@ class Search:
         """Search until the path has no reconfiguration or contact, or more anchors do not help; return the path."""
         self.first_anchors()
         self.link()
-        if (
-            self.worth() and self.model is not None
-        ):  # a narrow passage may be free if the extra margin EFFORT.near is dropped
+        # A narrow passage may be free if the extra margin EFFORT.near is dropped.
+        if self.worth() and self.model is not None:
             self.keep_away(self.model.collides)
             self.link()
         left = EFFORT.patience
@@ -374,23 +382,17 @@ class Search:
 
     def unreachable(self) -> list[Unreachable]:
         """Return the requested poses for which no solution was found, with the reason."""
-        missing = (
-            np.flatnonzero(~(self.program.state != DEAD).any(axis=1))
-            if self.tracks.size
-            else range(len(self.problem.T))
-        )
         said = []
-        for t in missing:
+        for t in np.flatnonzero(~(self.program.state != DEAD).any(axis=1)):
             place = self.problem.at[t]
             if place != round(place):  # Inserted poses are not reported.
                 continue
-            beyond = self.anchored.get(int(t))
-            if beyond is None:  # Not every pose in a gap between tracks is solved.
-                beyond = self.problem.solutions(int(t), self.problem.robot.home[None])[1]
-                reason = "no solution at a neighbouring pose leads to it"
-            else:
-                reason = f"no solution found from {STARTS} starts"
-            if beyond > 0.0:
+            beyond, reason = self.anchored.get(int(t), -1.0), "no solution found"
+            if beyond < 0.0:
+                reason = "not yet solved"
+            elif np.isnan(beyond):
+                reason = f"no room for its solutions, because a search follows at most {MOST}"
+            elif beyond > 0.0:
                 reason = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)"
             elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
                 reason, beyond = "every solution violates a joint limit, or none exists", np.inf

@@ -13,7 +13,7 @@ CEILINGS = {
     "file names used twice": 4,
     "functions of more than 9 parameters": 20,
     "constants of the most laden file of kernel and servo": 5,
-    "constants of modules": 949,
+    "constants of modules": 948,
     "uses of by_tip": 20,
     "imports for types alone": 3,
     "files under 120 lines that one other imports": 2,

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import robots
+from scipy.interpolate import CubicSpline
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import KIND
@@ -106,3 +107,24 @@ def test_a_track_that_ends_early_has_no_reason():
     assert (tracks.span != [0, 59]).any() and sound()  # limits and folds end some
     tracks.span[whole, 1] -= 5
     assert not sound()
+
+
+def test_poses_that_are_reached_alone_are_reached_on_a_path():
+    """Poses of an arm of five joints, of which none leads to the next, in turn with poses that it does not reach."""
+    robot = robots.load("so101")
+    T = robots.sample(robot, 60)[1]
+    T[1::2, :3, :3] = T[::2, :3, :3]
+    alone = ik.solve_batch(robot, T)
+    lost = [pose.index for pose in ik.solve_path(robot, T).unreachable]
+    assert lost == np.flatnonzero(~alone.success).tolist()
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_a_motion_of_a_redundant_arm_is_followed_in_one_piece(seed):
+    """Six joints and positions: where the first solutions do not lead along the whole path, others are searched for."""
+    robot, s = robots.few_joints(6, seed), np.linspace(0.0, 1.0, 5)
+    knots = robot.random_q(np.random.default_rng(seed), 5)
+    Q = np.clip(CubicSpline(s, knots, bc_type="clamped")(np.linspace(0.0, 1.0, 100)), robot.lower, robot.upper)
+    positions = [robot.fk(q).translation for q in Q]
+    made = ik.solve_path(robot, positions, q0=Q[0], path_tolerance=(0.05, 0.3))
+    assert made.status == PathStatus.FOLLOWED
