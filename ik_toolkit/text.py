@@ -85,10 +85,15 @@ def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
     return f"{figure(radians / unit[0], digits)} {unit[1]}"
 
 
+def decimal(text: str) -> float:
+    """Return the number in a text. Raises ValueError, also for '1_0', which `float` reads as 10."""
+    return float(text.replace("_", "?"))
+
+
 def numbers(text: str) -> list[float] | None:
     """Return the numbers in a text such as '1 2', '1,2' or '1', None if there are none or there is anything else."""
     try:
-        return [float(part) for part in text.replace(",", " ").split()] or None
+        return [decimal(part) for part in text.replace(",", " ").split()] or None
     except ValueError:
         return None
 
@@ -137,7 +142,7 @@ def parameter(name: str, text: str) -> Any:
 
     Raises InvalidOption, which names the parameter, for anything else.
     """
-    for read in (int, float, json.loads):
+    for read in (int, float, json.loads) if "_" not in text else (json.loads,):
         try:
             return read(text.lower() if text in ("True", "False") else text)
         except ValueError:

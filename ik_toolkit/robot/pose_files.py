@@ -26,6 +26,7 @@ import numpy as np
 
 from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
 from ..files import why_unread, without_mark
+from ..text import decimal
 from .pose_arrays import QUAT, quaternion_poses, read_arrays, read_tip_arrays, require_increasing, row_numbers, short
 from .rotation import euler_axes, euler_matrix, rotation_columns
 
@@ -386,7 +387,7 @@ def _numbers(texts: list[str], columns: list[int], top: _Top, lines: list[int], 
 def _finite(cell: str) -> float | None:
     """Return the finite number in a cell, or None."""
     try:
-        value = float(cell)
+        value = decimal(cell)
     except ValueError:
         return None
     return value if math.isfinite(value) else None

@@ -297,8 +297,8 @@ class Stream(CopiesViews):
     def _as_it_is(self, target: Any) -> tuple[tuple | None, int] | None:
         """Copy a target given as arrays; return its kinds and GIVEN.doubtful (not yet checked), or None if it has another form."""
         if not self.robot.by_tip:
-            kind = self._copy(0, target)
-            return None if kind is None else ((kind,), GIVEN.doubtful)
+            kinds = (self._copy(0, target),)
+            return None if kinds[0] is None or self.kinds not in (None, kinds) else (kinds, GIVEN.doubtful)
         if self.kinds is None:
             return None
         if isinstance(target, Mapping):

@@ -207,8 +207,8 @@ class Tracker(CopiesViews, ReadOnly):
                 off by more than `resync` from the command it answers to is left out (FOLLOWING_ERROR). If the next one agrees
                 with it, the tracker restarts from there, at rest (JUMPED); else, or outside the limits, it brakes (HELD).
 
-        For a target that is not finite the arm brakes (HELD). Raises InvalidTarget for a wrong shape, InvalidOption for
-        a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
+        For a target that is not finite, whatever its kind, the arm brakes (HELD). Raises InvalidTarget for a wrong shape,
+        InvalidOption for a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
         parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.

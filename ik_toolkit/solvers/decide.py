@@ -29,7 +29,7 @@ from .task import POSES
 OPEN = (CODE.stalled, CODE.iteration_limit, CODE.limit_blocked, CODE.singular)  # statuses that prove nothing
 # Options that the decision by elimination respects; with any other option the search continues without it.
 HONOURED = {
-    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
+    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest", "objective",
 }  # fmt: skip
 
 

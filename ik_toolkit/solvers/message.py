@@ -254,7 +254,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        beyond = [f"{tip} by {length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
+        beyond = [f"{tip} by {length(x)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
             return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {_starts(starts)}"

@@ -39,7 +39,7 @@ CHOOSING = ("closest", "objective", "history", "follow", "timeout")
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
 EXACT = {  # options that closed forms respect or may ignore; 'auto' chooses the search if any other option is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
-    "seed", "length_scale", "limits", "q0_outside", "history", "check",
+    "seed", "length_scale", "limits", "q0_outside", "history", "check", "objective",
 }  # fmt: skip
 
 

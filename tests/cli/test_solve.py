@@ -136,7 +136,7 @@ def test_solve_a_pose_in_degrees(run):
 def test_unreachable_target_says_by_how_much_and_returns_one(run):
     code, out, err = run("solve", "hydrolek_7w", "--xyz", 5, 0, 0)
     assert code == 1 and "UNREACHABLE" in out
-    assert "beyond reach by 3.556 m" in err and "Traceback" not in err
+    assert "beyond reach by 3.56 m" in err and "Traceback" not in err
     code, out, _ = run("solve", "hydrolek_7w", "--xyz", 5, 0, 0, "--json")
     assert code == 1 and json.loads(out)["status"] == "UNREACHABLE"
 

@@ -36,6 +36,7 @@ REFUSED = {
     "x,y,z\n1,2,3\n\n1,2,3,4\n": "line 4: 4 columns",
     "x;y;z\n1;2;3;4\n": "line 2: 4 columns, more than in the header$",
     "x\ty\tz\n0.5\t1\n": "line 2: 2 columns, fewer",
+    "x,y,z\n1,2,3\n1_0,2,3\n": "line 3: '1_0' is not a finite number",
     "x,y,z\n0.5;1;0\n": "line 2: 1 columns, fewer",
     "x,y,z,rx,ry,rz\n0,0,0,1,0,0\n": "columns rx, ry, rz: say with --euler about which axes the angles turn",
     "x,y,z,w,p,r\n0,0,0,1,0,0\n": "the columns w, p, r are not read; .* x,y,z, .* or with --euler x,y,z,rx,ry,rz or x,y,z,a,b,c",

@@ -5,7 +5,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.solvers.presets import from_preset, list_presets
 from ik_toolkit.solvers.registry import find_row
 
@@ -97,6 +97,11 @@ def test_targets_and_starts_of_a_batch(arm, tree):
         ik.solve_batch(tree, {first: None}, "lm")
     with pytest.raises(InvalidTarget, match=rf"{second}: targets must be numbers of shape \(N, 4, 4\) or \(N, 3\)"):
         ik.solve_batch(tree, {second: np.zeros((2, 2))}, "lm")
+
+
+def test_a_misspelled_field_of_a_pose_is_named(arm):
+    with pytest.raises(FrameNotFound, match="Did you mean 'position'"):
+        ik.solve(arm, {"positon": {"x": 1.0, "y": 0.0, "z": 0.0}})
 
 
 def test_targets_of_several_tips(tree):

@@ -52,6 +52,20 @@ def test_objectives_reach_a_minimum_of_the_self_motion(objective, cost):
     assert better >= 8 and still >= 6
 
 
+@pytest.mark.parametrize(
+    ("robot", "options"),
+    [(robots.few_joints(6, 2), {}), ("inspection_7dof", {}), ("so101", {"free_turn": "z"}), ("panda", {})],
+)
+def test_an_answer_near_a_reference_is_no_farther_than_one_without(robot, options):
+    """Whichever solver 'auto' takes for the robot: the elimination, a closed form or the search."""
+    robot = robots.load(robot) if isinstance(robot, str) else robot
+    Q = robot.random_q(np.random.default_rng(1), 60)
+    for q, q0 in zip(Q[::2], Q[1::2], strict=True):
+        plain, near = (ik.solve(robot, robot.fk(q), q0=q0, objective=what, **options) for what in (None, "reference"))
+        far = [np.linalg.norm((one.q - q0) / robot.chain.unit) for one in (plain, near)]
+        assert near.status is plain.status and (not plain.success or far[1] <= far[0] * (1.0 + 1e-12))
+
+
 def test_reference_objective_pulls_towards_q0():
     """Nearness is measured as `closest` does: by the Euclidean norm, in which joint weights divide the squares."""
     robot = robots.load("inspection_7dof")

@@ -1,5 +1,7 @@
 """The sentence of each status: its figures are those of the result, and it says what to try."""
 
+import re
+
 import numpy as np
 import pytest
 import robots
@@ -81,6 +83,14 @@ def test_followed(arm):
     cut = ik.solve(arm, target(arm), "lm", q0=arm.home, follow=3.0, max_iterations=2)
     assert cut.status == Status.ITERATION_LIMIT
     assert cut.message == f"{left(cut)} away after 2 iterations; move the target in smaller steps, or use the tracker"
+
+
+def test_the_bound_of_the_reach_does_not_look_larger_than_the_error():
+    flat = robots.load("planar_2r")
+    for x in np.linspace(5.0, 5.02, 21):
+        message = ik.solve(flat, (x, 0.0, 0.0), "lm").message
+        beyond, closest = re.findall(r"(?:reach by|closest) (\S+) m ", message)
+        assert 0.0 < float(beyond) <= float(closest)
 
 
 def test_beyond_reach(arm, tree):

@@ -20,6 +20,7 @@ import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
 from ...files import why_unread
+from ...text import decimal
 from ..rotation import rpy_matrix
 from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
 
@@ -246,7 +247,7 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
 
 def _number(value: Any, where: str, column: str) -> float:
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(value, bool) else decimal(str(value))
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):

@@ -12,6 +12,7 @@ from xml.parsers import expat
 
 from ...errors import ModelError
 from ...files import why_unread
+from ...text import decimal
 
 
 class UrdfCaps(NamedTuple):
@@ -269,7 +270,7 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
 def attribute_numbers(text: str) -> list[float] | None:
     """Return the numbers in an attribute, or None if anything else is in it."""
     try:
-        return [float(word) for word in text.split()] if "_" not in text else None
+        return [decimal(word) for word in text.split()]
     except ValueError:
         return None
 
