@@ -278,7 +278,7 @@ def find(source: str | Path) -> RobotEntry:
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if name and Path(shown).is_dir():
         raise RobotNotFound(f"the folder '{shown}' contains no robot description")
-    if Path(shown).exists():
+    if name and Path(shown).exists():
         raise RobotNotFound(f"'{shown}' is not a regular file; in a shell - reads a description from standard input")
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
