@@ -43,8 +43,8 @@ class LevelSteps(NamedTuple):
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
     # this share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
     same_reach: float = 1e-5
-    # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it: of those
-    # attempts on five joints at most 1 in 20 would end elsewhere
+    # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it; of those
+    # attempts 1 in 35 would have ended elsewhere (SO-100 and SO-101, 200 targets each)
     near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
     agree_reach: int = 6  # this number if level 0 is out of reach, where minima are close to one another
@@ -336,13 +336,14 @@ def step_by_levels(p, e, level, far):
             slope_of_level(p, c, level, bench.gradient)
             if c > 0 and not far:
                 multipliers(level, count, bench)
+            size = size_of_level(p, e, c, level)
             if c == first:
-                inward = wrongly_held(s, size_of_level(p, e, c, level), bench, box)
+                inward = wrongly_held(s, size, bench, box)
             if k == 0:
                 break
             hessian_of_level(p, c, level, bench)
             k, one = down_level(s, k, c == int(top), bench, box)
-            steep += one / size_of_level(p, e, c, level)
+            steep += one / size
             if c == 0:
                 slope_of_level(p, 1, level, bench.gradient)
                 inverse_multipliers(s, level, count, bench)

@@ -74,7 +74,7 @@ class Patience(NamedTuple):
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]
     decay: float  # factor of the bound in each iteration
-    near: float  # squared distance to `SearchInput.closest` below which the attempt ends, because it would end there (0: never)
+    known: float  # squared distance to `SearchInput.closest` below which the attempt ends, because it would end there (0: never)
 
 
 @compiled
@@ -161,8 +161,8 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
             status = CODE.still
         if (
             status == CODE.going
-            and patience.near > 0.0
-            and distance(q, job.closest, job.weights, job.box) < patience.near
+            and patience.known > 0.0
+            and distance(q, job.closest, job.weights, job.box) < patience.known
         ):
             status = CODE.known
         if status != CODE.going:

@@ -95,9 +95,8 @@ class Problem:
         else:
             single.run(T, self.kinds, Q0, True, out)
         good = out[:, AT.status] == CODE.converged
-        if (
-            not good.any()
-        ):  # The solver's own search has better starts and more patience, and may prove that there is none.
+        # The solver's own search has better starts and more patience, and may prove that there is no solution.
+        if not good.any():
             out, good = self.plan.solve(T[:1], self.kinds, Q0[:1], True)[None], np.ones(1, dtype=bool)
             if out[0, AT.status] != CODE.converged:
                 return np.empty((0, n)), max(0.0, out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0

@@ -29,9 +29,8 @@ class Effort(NamedTuple):
     every: int = 20
     anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
     share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
-    first: int = (
-        300  # largest number of tracks of all first anchors of a redundant robot, to bound the time of simple paths
-    )
+    # largest number of tracks of all first anchors of a redundant robot, to bound the time of simple paths
+    first: int = 300
     tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
     patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
     rounds: int = 8  # listed solutions that lie on no track are added in at most this many rounds; two are usual
@@ -383,7 +382,7 @@ class Search:
     def unreachable(self) -> list[Unreachable]:
         """Return the requested poses for which no solution was found, with the reason."""
         said = []
-        for t in np.flatnonzero(~(self.program.state != DEAD).any(axis=1)):
+        for t in np.flatnonzero((self.program.state == DEAD).all(axis=1)):
             place = self.problem.at[t]
             if place != round(place):  # Inserted poses are not reported.
                 continue

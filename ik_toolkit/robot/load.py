@@ -187,7 +187,7 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
         raise InvalidOption(f"package_dirs must be a list of folders, not {given!r:.60}") from None
     for folder in folders:
         if not folder.is_dir():
-            raise InvalidOption(f"package_dirs: there is no folder {folder}")
+            raise InvalidOption(f"package_dirs: there is no folder '{folder}'")
     return folders
 
 

@@ -64,7 +64,7 @@ class Mobility:
             return found
         if free is not None:
             free = np.asarray(free) / np.linalg.norm(free)
-            return [*found, *(self._never_beside if of_base else self._never_along)(T[:3, :3], free, angle)]
+            return [*found, *self._never_stands(T[:3, :3], free, of_base, angle)]
         if self.rotation is not None:
             off = np.arccos(np.clip((np.trace(self.rotation.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
             if off > angle:
@@ -79,30 +79,25 @@ class Mobility:
                 )
         return found
 
-    def _never_along(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
-        """Return a sentence if the tip's axis `free` can never point where a target's rotation R (3, 3) requires."""
-        fixed = self.axis if self.rotation is None else self.rotation @ free
-        own = free if self.rotation is not None else self.tip_axis
-        if fixed is None or own is None:
+    def _never_stands(self, R: np.ndarray, free: np.ndarray, of_base: bool, tolerance: float) -> list[str]:
+        """Return a sentence if an axis of the tip never stands to one of the base as in a target's rotation R (3, 3).
+
+        free: axis (3,) about which the rotation is free, of the tip or (of_base) of the base; the arm fixes the other one.
+        """
+        if self.rotation is not None and not of_base:
+            tip, base, cosine = free, self.rotation @ free, 1.0
+        elif self.axis is None or self.tip_axis is None:
             return []
-        stands, asked = (float(np.arccos(np.clip(x, -1.0, 1.0))) for x in (own @ free, fixed @ R @ free))
+        elif of_base:
+            tip, base, cosine = self.tip_axis, free, self.axis @ free
+        else:
+            tip, base, cosine = free, self.axis, self.tip_axis @ free
+        stands, asked = (float(np.arccos(np.clip(x, -1.0, 1.0))) for x in (cosine, base @ R @ tip))
         if abs(stands - asked) <= tolerance:
             return []
         always, wanted = in_words(stands), in_words(asked)
         return [
-            f"the tip's {named(free)} axis always stands at {always} to {named(fixed)} of the base, and the target's at {wanted}"
-        ]
-
-    def _never_beside(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
-        """Return a sentence if the tip's fixed axis never stands to the base's axis `free` as in a target's rotation R (3, 3)."""
-        if self.axis is None or self.tip_axis is None:
-            return []
-        stands, asked = (float(np.arccos(np.clip(x, -1.0, 1.0))) for x in (self.axis @ free, free @ R @ self.tip_axis))
-        if abs(stands - asked) <= tolerance:
-            return []
-        axis, always, wanted = named(self.tip_axis), in_words(stands), in_words(asked)
-        return [
-            f"the tip's {axis} axis always stands at {always} to {named(free)} of the base, and the target's at {wanted}"
+            f"the tip's {named(tip)} axis always stands at {always} to {named(base)} of the base, and the target's at {wanted}"
         ]
 
     def __str__(self) -> str:

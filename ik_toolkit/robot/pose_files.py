@@ -86,8 +86,9 @@ def read_poses(
     given = given.check()
     scale = LENGTHS[given.length_unit]
     if not path.is_file():
-        there = f"'{path}' is not a regular file; in a shell - reads standard input" if path.exists() else ""
-        raise InvalidTarget(there or f"there is no {what} file '{path}'")
+        if path.exists():
+            raise InvalidTarget(f"'{path}' is not a regular file; in a shell - reads standard input")
+        raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
         if path.suffix.lower() in (".npz", ".json"):
             if tips:

@@ -235,7 +235,7 @@ class Run:
         bounded = np.isfinite(upper - lower)
         for avoid in RETIME.harder:
             yield here._replace(avoid=avoid)
-        middle = np.where(bounded, 0.5 * (lower + upper), 0.0)
+        middle = 0.5 * np.add(lower, upper, out=np.zeros(len(lower)), where=bounded)
         yield here._replace(posture=np.stack([middle, np.where(bounded, POSTURE, 0.0)]))
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
@@ -295,6 +295,7 @@ class Run:
         times = times_of(s, rate)
         steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
+        # A clock may nearly stand still, so the array is cut before it is made.
         t = np.append(np.arange(min(steps, self.most + 1.0)) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
@@ -377,7 +378,8 @@ class Run:
 
     def _excess(self, E: np.ndarray, settle: float | None = None) -> np.ndarray:
         """Return for each of M samples the largest ratio of error, in E (M, m), to tolerance; 0 before settle [s]."""
-        errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
+        with np.errstate(over="ignore"):  # A run that diverges may have errors whose squares overflow.
+            errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
         late = np.arange(len(E)) * self.dt >= (self.settle if settle is None else settle)
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)
 

@@ -150,12 +150,9 @@ def _cause(result: Any) -> str:
 def _advice(result: Any) -> str:
     """Say what to try after a failed search; a pose that limits block may also ask for less, a position alone cannot."""
     of, advice = result._of, ADVICE[result.status]
-    less = result.status == Status.LIMIT_BLOCKED and of.plan.options.priority is None
-    return (
-        f"{advice}, or {ASK_LESS}"
-        if less and any(kind not in (KIND.free, KIND.position) for kind in of.kinds)
-        else advice
-    )
+    posed = any(kind not in (KIND.free, KIND.position) for kind in of.kinds)
+    less = result.status == Status.LIMIT_BLOCKED and of.plan.options.priority is None and posed
+    return f"{advice}, or {ASK_LESS}" if less else advice
 
 
 def _outside(result: Any) -> str:

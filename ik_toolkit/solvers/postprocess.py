@@ -191,8 +191,7 @@ def improve(outcome: Any) -> Any:
     refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, MOST.improving)
     q = row[SIZE.answer : SIZE.answer + plan.robot.n]
     # The best q often lies at the border of a tolerance, where rounding decides.
-    errors = counted_errors(plan.robot, q, outcome.T[0], outcome.kinds, plan.options)
-    return outcome._replace(row=row) if inside(errors, plan) else outcome
+    return outcome._replace(row=row) if confirmed(plan, q, outcome.T[0], outcome.kinds) else outcome
 
 
 def confirm(outcome: Any) -> Any:

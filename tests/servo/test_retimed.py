@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import have_data
+from robots import have_data, urdf
 
 import ik_toolkit as ik
 
@@ -54,3 +54,34 @@ def test_a_fast_line_in_few_samples_takes_hardly_longer():
     start = robot.fk(q0).translation
     run = ik.track(robot, ik.line(start, start + np.array([-0.9, 0.5, 0.0]), duration=0.3, law="minimum-jerk"), q0=q0)
     assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_speeds(robot, run)
+
+
+@pytest.mark.parametrize("law", ["minimum-jerk", "constant"])
+def test_a_clock_that_nearly_stands_still_asks_for_no_terabytes(law):
+    """Four joints lead the tip to where it can only creep; the time law of this run was 1e8 to 1e13 steps long."""
+    turn, speed = 0.5 * np.pi, '<limit velocity="2" effort="1"/>'
+    robot = ik.Robot.load(
+        urdf(
+            dict(
+                kind="revolute",
+                xyz="-0.2 0 0",
+                rpy=f"{-turn} {2 * turn} 0",
+                axis="0 -1 0",
+                limits=(0.2132237964141146, 1.6648112338845278),
+            ),
+            dict(kind="continuous", mimic=speed, xyz="0 0 -0.2", rpy=f"{turn} {-turn} {-turn}", axis="0 1 0"),
+            dict(
+                kind="revolute",
+                xyz="0 -0.2 0",
+                rpy=f"{-turn} {turn} {-turn}",
+                axis="0 -1 0",
+                limits=(-0.07526373902942951, 1.906070118039701),
+            ),
+            dict(kind="continuous", mimic=speed, xyz="0 0 0.3", rpy=f"{turn} 0 {-turn}", axis="1 0 0"),
+            dict(kind="fixed", xyz="-0.1574968237176962 0.15020221303086362 -0.1671111511690564", rpy="0.3 0.2 0.1"),
+        )
+    )
+    q0 = np.array([1.57849965, 1.38494693, 0.06289538, -1.02461228])
+    a = robot.fk(q0).translation
+    reference = ik.line(a, a + np.array([-0.62852916, 0.01108644, 0.15225849]), duration=0.5, law=law)
+    assert ik.track(robot, reference, "aad", dt=0.004, q0=q0).status.name == "LOST"
