@@ -321,17 +321,15 @@ def add_curvature(state, J, first, e, c, least, H):
     for r in range(rows.shape[0]):
         u, v = column(rows, joints, r, tip)
         i, ratio = int(rows[r, 8]), rows[r, 4] + rows[r, 6]
-        back = R.across(v)
+        linear, angular = cp.cross(v), cr.cross(v)
+        if turn > 0.0 and free:
+            angular = angular + (v * a.dot(b) - b * v.dot(a)) * turn
+        elif turn > 0.0:
+            angular = angular + (v * trace - G.times(R.across(v))) * (0.5 * turn)
         for t in range(r, rows.shape[0]):
             x, y = column(rows, joints, t, tip)
-            h = cp.dot(v.cross(x)) + cr.dot(v.cross(y))
-            if turn > 0.0:
-                if free:
-                    h += turn * (v.dot(y) * a.dot(b) - v.dot(a) * y.dot(b))
-                else:
-                    h += 0.5 * turn * (v.dot(y) * trace - back.dot(G.across(y)))
             j = int(rows[t, 8])
-            h *= ratio * (rows[t, 4] + rows[t, 6])
+            h = (linear.dot(x) + angular.dot(y)) * ratio * (rows[t, 4] + rows[t, 6])
             H[i, j] += h
             if r != t:
                 H[j, i] += h

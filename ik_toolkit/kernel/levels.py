@@ -209,8 +209,8 @@ def down_level(s, k, last, bench, box):
         b[x] = -dot_with_column(slope, Z, x, n)
         steep += dot_with_column(bench.gradient, Z, x, n) ** 2
     for x in range(k):
-        for z in range(k):
-            W[x, z] = dot_of_columns(Z, x, A, z, n)
+        for z in range(x + 1):
+            W[x, z] = W[z, x] = dot_of_columns(Z, x, A, z, n)
     eigen(W, V, k)
     clear(dz)
     left, size = 0, 0.0

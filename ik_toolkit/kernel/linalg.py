@@ -33,14 +33,15 @@ def damped(J, w, dq, linear, angular, damping):
 
 @inner
 def cholesky(A, m, least):
-    """Replace the lower half of the leading m x m part of A by its Cholesky factor; pivots below `least` become `least`."""
+    """Replace the lower half of the leading m x m part of A by its Cholesky factor, with the inverses of the diagonal.
+
+    Pivots below `least` become `least`.
+    """
     for j in range(m):
         s = A[j, j]
         for k in range(j):
             s -= A[j, k] * A[j, k]
-        d = math.sqrt(max(s, least))
-        A[j, j] = d
-        inverse = 1.0 / d
+        A[j, j] = inverse = 1.0 / math.sqrt(max(s, least))
         for i in range(j + 1, m):
             s = A[i, j]
             for k in range(j):
@@ -55,12 +56,12 @@ def cholesky_solve(A, m, y):
         s = y[j]
         for k in range(j):
             s -= A[j, k] * y[k]
-        y[j] = s / A[j, j]
+        y[j] = s * A[j, j]
     for j in range(m - 1, -1, -1):
         s = y[j]
         for k in range(j + 1, m):
             s -= A[k, j] * y[k]
-        y[j] = s / A[j, j]
+        y[j] = s * A[j, j]
 
 
 @inner
@@ -309,11 +310,10 @@ def triangle(V, count, m, scales, order, share):
             return k
         end = -length if V[k, k] > 0.0 else length
         v = V[k, k] - end
-        total = v * v
+        inverse = 1.0 / v
         for n in range(k + 1, m):
-            total += V[k, n] * V[k, n]
-            V[k, n] /= v
-        scales[k] = 2.0 * v * v / total
+            V[k, n] *= inverse
+        scales[k] = -v / end  # 2 / (v' v) for the reflection's vector, whose first number is 1
         for c in range(k + 1, count):
             reflect_row(V, scales, k, V[c], m)
         V[k, k] = end

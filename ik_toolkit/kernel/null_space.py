@@ -94,7 +94,7 @@ def log_manipulability(p, ends):
     cholesky(A, m, NULL.volume)
     total = 0.0
     for r in range(m):
-        total += math.log(A[r, r])
+        total -= math.log(A[r, r])
     return total
 
 

@@ -148,7 +148,7 @@ def invert(G, k, y):
             s = 1.0 if r == c else 0.0
             for j in range(c, r):
                 s -= G[r, j] * y[j]
-            y[r] = s / G[r, r]
+            y[r] = s * G[r, r]
             trace += y[r] * y[r]
     return 1.0 / trace
 

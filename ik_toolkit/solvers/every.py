@@ -70,13 +70,13 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
         for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
             some = target[a : a + 1024]
-            lists.append(_certain(plan, some, q0, count) if plain else None)
-            for k, one in enumerate(some):
-                if plain and not more and lists[-1].counts[k][1] > 0:
-                    each.append(None)
-                else:
-                    found = lists[-1].solutions(k) if plain else None
-                    each.append(_find(solver, one, q0, starts, count, all_turns, found))
+            made = _certain(plan, some, q0, count) if plain else None
+            lists.append(made)
+            each += [None] * len(some)
+            for k in range(len(some)):
+                if made is None or more or made.counts[k][1] <= 0:
+                    found = made.solutions(k) if made else None
+                    each[a + k] = _find(solver, some[k], q0, starts, count, all_turns, found)
         return SolutionsBatch(each, lists)
     return _find(solver, target, q0, starts, count, all_turns)
 

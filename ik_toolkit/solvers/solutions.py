@@ -139,7 +139,8 @@ class SolutionsBatch(ReadOnly):
         """Join the solutions of the targets; those of target k that are None are made by `lists`, all of one size."""
         self._each, self._lists = each, lists
         self._size = len(lists[0].counts) if lists and lists[0] else 1
-        counts = [len(self._rows(k) if one is None else one) for k, one in enumerate(each)]
+        kept = [row[1] for made in lists if made for row in made.counts]
+        counts = [kept[k] if one is None else len(one) for k, one in enumerate(each)]
         self.target = np.repeat(np.arange(len(each)), counts)
         self.complete = np.array([one is None or one.complete for one in each], dtype=bool)
         self._seal()
