@@ -61,24 +61,28 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
     places = int(solver.robot.by_tip)  # number of leading axes of a single target of a Tree
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
-    if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
-        plain = type(target) is np.ndarray and target.dtype == np.float64 and target.shape[1:] == solver._pose == (4, 4)
-        plan, o, each, lists = _plan_for(solver, POSES), solver.options, [], []
-        plain = plain and hasattr(plan.rule, "certain")
-        if plain:
-            target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
-        more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
-        for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
-            some = target[a : a + 1024]
-            made = _certain(plan, some, q0, count) if plain else None
-            lists.append(made)
-            each += [None] * len(some)
-            for k in range(len(some)):
-                if made is None or more or made.counts[k][1] <= 0:
-                    found = made.solutions(k) if made else None
-                    each[a + k] = _find(solver, some[k], q0, starts, count, all_turns, found)
-        return SolutionsBatch(each, lists)
-    return _find(solver, target, q0, starts, count, all_turns)
+    several = len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,))
+    plan, o, each, lists = _plan_for(solver, POSES), solver.options, [], []
+    plain = type(target) is np.ndarray and target.dtype == np.float64 and shape[several:] == solver._pose == (4, 4)
+    plain = plain and hasattr(plan.rule, "certain")
+    more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
+    if not several:
+        made = _certain(plan, target[None], q0, count) if plain and target.flags.carray else None
+        if made is None or more or made.counts[0][1] <= 0 or q0 is not None:
+            return _find(solver, target, q0, starts, count, all_turns, made.solutions(0) if made else None)
+        return made.solutions(0)
+    if plain:
+        target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
+    for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
+        some = target[a : a + 1024]
+        made = _certain(plan, some, q0, count) if plain else None
+        lists.append(made)
+        each += [None] * len(some)
+        for k in range(len(some)):
+            if made is None or more or made.counts[k][1] <= 0:
+                found = made.solutions(k) if made else None
+                each[a + k] = _find(solver, some[k], q0, starts, count, all_turns, found)
+    return SolutionsBatch(each, lists)
 
 
 def _plan_for(solver: Any, kinds: tuple) -> Plan:

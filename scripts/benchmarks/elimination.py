@@ -168,7 +168,10 @@ def hard_targets(arms: Iterator[tuple[str, np.ndarray]], count: int, seed: int) 
 
     def note(name: str, arm: np.ndarray, forms: np.ndarray, Q: np.ndarray) -> None:
         if len(Q):
-            rows[name] = rows.get(name, Count()).plus(judged(arm, forms, Q, 1e-3))
+            one, split = judged(arm, forms, Q, 1e-3), Split(*forms[0, : len(Split._fields)])
+            wrist = split.degree == 0.0 and split.parallel == 0.0
+            for row in (name, f"{name}, wrists")[: 1 + wrist]:
+                rows[row] = rows.get(row, Count()).plus(one)
 
     rng = np.random.default_rng(seed)
     for _, arm in arms:

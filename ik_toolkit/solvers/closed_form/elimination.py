@@ -13,7 +13,6 @@ import numpy as np
 from ...compile.jit import cached
 from ...kernel.chain import Chain
 from ...kernel.checks import RIGID, is_rigid, rigid
-from ...kernel.elimination.answer import solve_loops
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import SIZES, VERDICT
 from ..protocol import closed_form
@@ -137,27 +136,22 @@ def into_limits(Q, box, out, excess):
 
 
 @cached
-def list_certain(forms, arm, rows, ends, opt, T, box, most):
+def list_certain(rows, ends, opt, T, found, box, most, table, counts):
     """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_branches` does.
 
     Args:
-        forms: orderings of the loop, as for `kernel.elimination.answer.solve_loops`.
-        arm: geometry of the loop, likewise.
         rows: geometry of the chain, as for `list_branches`.
         ends: limits of the chain, likewise.
         opt: options, likewise.
         T: (N, 4, 4) targets [m].
+        found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
         most: largest number of rows of a target.
-
-    Returns:
-        The rows of `list_branches` (., 9), one target after another; (N, 2) where the rows of each target begin, and their number,
-        or -1 if its list is not certain, a row misses the tolerances, or there are more than `most`; and (N, SIZES.columns) the
-        first row of each answer of `solve_loops`.
+        table: (at least the sum of all solutions, 9) receives the rows of `list_branches`, one target after another.
+        counts: (N, 2) receives where the rows of each target begin, and their number, or -1 if its list is not certain, a row
+            misses the tolerances, or there are more than `most`.
     """
-    found = np.zeros((T.shape[0], SIZES.rows, SIZES.columns))
-    solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), 0.0)
-    table, counts, at = np.empty((T.shape[0] * SIZES.rows, 3 + N)), np.empty((T.shape[0], 2), dtype=np.int64), 0
+    at = 0
     for t in range(T.shape[0]):
         counts[t, 0], counts[t, 1] = at, -1
         if found[t, 0, 1] != VERDICT.certain or not rigid(T[t], RIGID.axes):
@@ -171,7 +165,6 @@ def list_certain(forms, arm, rows, ends, opt, T, box, most):
         if kept == legal and kept <= most:
             counts[t, 1] = kept
             at += kept
-    return table, counts, found[:, 0].copy()
 
 
 @closed_form
@@ -190,9 +183,11 @@ class Elimination(NamedTuple):
     def certain(
         self, chain: tuple, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray, most: int
     ) -> tuple[np.ndarray, list[list[int]], np.ndarray]:
-        """Return what `list_certain` returns for poses T (N, 4, 4), with the counts as a list."""
-        table, counts, notes = list_certain(forms_of(p.tobytes()), p, *chain[:2], opt, T, box, most)
-        return table, counts.tolist(), notes
+        """Return the table and counts of `list_certain` for poses T (N, 4, 4), and the first rows (N, 9) of their answers."""
+        found = answers(forms_of(p.tobytes()), p, T)
+        table, counts = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty((len(T), 2), dtype=np.int64)
+        list_certain(*chain[:2], opt, T, found, box, most, table, counts)
+        return table, counts.tolist(), found[:, 0].copy()
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
