@@ -169,8 +169,8 @@ def hard_targets(arms: Iterator[tuple[str, np.ndarray]], count: int, seed: int) 
     def note(name: str, arm: np.ndarray, forms: np.ndarray, Q: np.ndarray) -> None:
         if len(Q):
             one, split = judged(arm, forms, Q, 1e-3), Split(*forms[0, : len(Split._fields)])
-            wrist = split.degree == 0.0 and split.parallel == 0.0
-            for row in (name, f"{name}, wrists")[: 1 + wrist]:
+            group = ", wrists" if split.off < 1e-9 else ", nearly wrists"  # the axes of some real arms are rounded
+            for row in (name, name + group)[: 1 + (split.degree == 0.0 and split.parallel == 0.0)]:
                 rows[row] = rows.get(row, Count()).plus(one)
 
     rng = np.random.default_rng(seed)
