@@ -34,7 +34,7 @@ class CertainLists(NamedTuple):
     """Certified lists of N poses, of which Solutions are made when they are asked for."""
 
     plan: Plan
-    table: np.ndarray  # (M, 3 + n) the rows of `polish.list_branches` of all poses
+    table: np.ndarray  # (M, 3 + n) the rows of `polish.list_with` of all poses
     # (N, 2) index of the first row of each pose, and number of its rows, or -1 if its list is not certain
     counts: list[list[int]]
     notes: np.ndarray  # (N, .) evidence that each list is complete, see `certificate_of`
@@ -230,7 +230,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     table, signs = np.empty((found, 3 + robot.n)), np.empty((found, 3), dtype=np.int8)
     rows, ends = plan.chain[:2]
     kept, legal = list_branches(
-        rows, ends, opt, T[0], start, made.fixed, made.steps, made.q, made.broken, made.marks, table, signs
+        rows, ends, opt, T[0], start, (made.fixed, made.steps, made.q, made.broken, made.marks), table, signs
     )
     table, signs = table[:kept], signs[:kept]
     inside = f"{legal} of {found} branches{made.words} are inside the limits"

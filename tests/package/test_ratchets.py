@@ -11,7 +11,7 @@ CEILINGS = {
     "files outside folders that grow": 275,
     "public names defined in two files or more": 9,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 20,
+    "functions of more than 9 parameters": 19,
     "constants of the most laden file of kernel and servo": 5,
     "constants of modules": 948,
     "uses of by_tip": 20,

@@ -15,11 +15,13 @@ from ...kernel.chain import Chain
 from ...kernel.checks import RIGID, is_rigid, rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import SIZES, VERDICT
+from ...kernel.records import SIZE, Orders, read
+from ...kernel.serial import make_serial
 from ..protocol import closed_form
 from .eaik import STEPS, N, eaik_branches
 from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
-from .polish import list_branches
+from .polish import list_with
 
 # Least distance of the axes from a common point, as a share of the reach; smaller, rounding of a pose would be magnified too much.
 LEAST_SIZE = 1e-4
@@ -137,31 +139,34 @@ def into_limits(Q, box, out, excess):
 
 @cached
 def list_certain(rows, ends, opt, T, found, box, most, table, counts):
-    """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_branches` does.
+    """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_with` does.
 
     Args:
-        rows: geometry of the chain, as for `list_branches`.
+        rows: geometry of the chain, as for `polish.list_branches`.
         ends: limits of the chain, likewise.
         opt: options, likewise.
         T: (N, 4, 4) targets [m].
         found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
         most: largest number of rows of a target.
-        table: (at least the sum of all solutions, 9) receives the rows of `list_branches`, one target after another.
+        table: (at least the sum of all solutions, 9) receives the rows of `list_with`, one target after another.
         counts: (N, 2) receives where the rows of each target begin, and their number, or -1 if its list is not certain, a row
             misses the tolerances, or there are more than `most`.
     """
-    at = 0
+    at, n = 0, box.shape[1]
+    p, none = (
+        make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt)),
+        np.zeros((2, found.shape[1], 3), dtype=np.int8),
+    )
+    work, q, broken = np.empty((2, n)), np.empty((found.shape[1], n)), np.empty(found.shape[1])
     for t in range(T.shape[0]):
         counts[t, 0], counts[t, 1] = at, -1
         if found[t, 0, 1] != VERDICT.certain or not rigid(T[t], RIGID.axes):
             continue
         Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
-        q, broken, signs = np.empty(Q.shape), np.empty(Q.shape[0]), np.zeros((Q.shape[0], 3), dtype=np.int8)
         eaik_branches(Q, box, q, broken)
-        kept, legal = list_branches(
-            rows, ends, opt, T[t], box[2], -1, STEPS, q, broken, signs, table[at:], signs.copy()
-        )
+        branches = (-1, STEPS, q[: Q.shape[0]], broken, none[0])
+        kept, legal = list_with(p, work, opt, T[t], box[2], branches, table[at:], none[1])
         if kept == legal and kept <= most:
             counts[t, 1] = kept
             at += kept

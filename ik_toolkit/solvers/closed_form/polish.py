@@ -9,7 +9,7 @@ from ...kernel.counted_error import KIND
 from ...kernel.kinematics import aim, rotation_angle
 from ...kernel.limits import hold
 from ...kernel.linalg import damped
-from ...kernel.records import ORDER, SIZE, Ends, Orders, copy, read
+from ...kernel.records import ORDER, SIZE, Orders, copy, read
 from ...kernel.serial import make_serial
 
 DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
@@ -108,20 +108,36 @@ def near_a_row(table, count, q):
 
 
 @cached
-def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
-    """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
+def list_branches(rows, ends, opt, T, start, branches, table, signs):
+    """Do what `list_with` does, with a problem of its own for the chain (rows, ends)."""
+    p = make_serial(rows, ends, opt[SIZE.orders :], start.shape[0], read(Orders, opt))
+    return list_with(p, np.empty((2, start.shape[0])), opt, T, start, branches, table, signs)
 
-    A branch counts if it exceeds no limit (its number in broken (K,) is 0) and after `polish` meets the tolerances of T (4, 4).
-    One that exceeds limits by less than BORDER is put on them, and counts if it then meets the tolerances. The columns of table
-    are position error [m], rotation error [rad], distance from `start` (angles [rad], lengths over the scale) and q. signs gets
-    the signs marks (K, 3) of the counted branches. Returns the number of branches that count, and the number inside the limits.
+
+@inner
+def list_with(p, work, opt, T, start, branches, table, signs):
+    """Fill table (K, 3 + n) and signs (K, 3) with the branches that count, nearest to `start` (n,) first.
+
+    A branch counts if it exceeds no limit and after `polish` meets the tolerances of T (4, 4). One that exceeds limits by less than
+    BORDER is put on them, and counts if it then meets the tolerances.
+
+    Args:
+        p: Problem of the chain.
+        work: Scratch (2, n).
+        opt: Options, as for `polish`.
+        T: Target (4, 4).
+        start: Configuration (n,) from which distances are measured.
+        branches: `fixed` and `steps` of `polish`; branches Q (K, n), by how much each exceeds limits (K,), and its signs (K, 3).
+        table: Receives position error [m], rotation error [rad], distance from `start` (angles [rad], lengths over the scale), q.
+        signs: Receives the signs of the branches that count.
+
+    Returns:
+        The number of branches that count, and the number inside the limits.
     """
-    n = Q.shape[1]
-    box = Ends(ends, n)
-    o = read(Orders, opt)
+    fixed, steps, Q, broken, marks = branches
+    n, box, o = Q.shape[1], p.ends, read(Orders, opt)
     kept = legal = 0
-    q, old = np.empty(n), np.empty(n)
-    p = make_serial(rows, ends, opt[SIZE.orders :], n, o)
+    q, old = work[0], work[1]
     for turn in range(2 * Q.shape[0]):
         k, border = turn % Q.shape[0], turn >= Q.shape[0]
         if (broken[k] > 0.0) != border or broken[k] > BORDER:
