@@ -82,7 +82,7 @@ class TableOutput(JsonOutput):
 class ObjectOutput(JsonOutput):
     """Options for what is printed and written."""
 
-    output: Path | None = option("FILE", "Also write the JSON object to a file.", "-o", "--output", writes=[])
+    output: Path | None = option("FILE", "Also write the JSON object to a .json.", "-o", "--output", writes=[".json"])
 
 
 @options("Output")

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
+from ..files import as_output
 from ..text import angle, comma_hint, duration, figure, length, vector
 from .command import PLOTS, REQUIRED, above_zero, command, flag, option, options, same
 from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
@@ -71,8 +72,8 @@ class PathOptions:
             raise InvalidOption("--tip-speed belongs to --retime")
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
-        if self.retime and self.output is not None and self.output.suffix.lower() == ".npz":
-            raise InvalidOption(f"a trajectory is written as .csv or .json, not '{self.output}'")
+        if self.retime and self.output is not None:
+            as_output(self.output, "a trajectory", ".csv", ".json")
         above_zero(self.max_step_deg, "--max-step-deg")
         above_zero(self.max_step_mm, "--max-step-mm")
         above_zero(self.path_tolerance_mm or 1.0, "--path-tolerance-mm")

@@ -1,6 +1,6 @@
 """Reads the targets of a batch part by part, in any form: arrays, dicts by tip, lists, iterators."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,8 +70,10 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
+    if isinstance(targets, list | tuple) and targets and all(map(is_by_name, targets)):
+        targets = _columns(robot, targets)
     if is_by_name(targets):
-        columns = dict(targets)
+        columns = robot.each_tip(targets)
     elif not isinstance(targets, list | tuple) or not targets:
         return targets, options
     elif not robot.by_tip:
@@ -87,6 +89,19 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
     made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
     return robot.for_tips(made), {**options, "free_turn": robot.for_tips(axes)}
+
+
+def _columns(robot: Any, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return dicts by tip, one for each target, as one dict of lists. Raises FrameNotFound, InvalidTarget if their tips differ."""
+    rows = [{tip: one for tip, one in row.items() if one is not None} for row in rows]
+    for k, row in enumerate(rows):
+        robot.check_tips(row)
+        if row.keys() != rows[0].keys():
+            tips, first = (", ".join(one) or "no tip" for one in (row, rows[0]))
+            raise InvalidTarget(
+                f"target {k} is of {tips} and target 0 of {first}; in a batch they are of the same tips"
+            )
+    return {tip: [row[tip] for row in rows] for tip in rows[0]}
 
 
 def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
