@@ -12,7 +12,7 @@ from ..text import in_shell
 # Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 # option names that differ from the names of the library's arguments
-PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}
+PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative", "count": "suggest"}
 # Matches the name of an argument that is the subject of a sentence.
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")
 # Matches limits=False or tip=, but nothing in quotes, because that is what a user has typed.
