@@ -84,7 +84,7 @@ class PathOptions:
         return {
             "q0": joint_vector(arm, self.q0, "--q0", deg),
             "q_end": joint_vector(arm, self.q_end, "--q-end", deg),
-            "reconfigurations": int(words) if words.isdecimal() else words,
+            "reconfigurations": int(words) if words.isascii() and words.isdecimal() else words,
             "max_step": (math.radians(self.max_step_deg), 1e-3 * self.max_step_mm),
             "path_tolerance": None if off is None else (1e-3 * off, TURN),
         }

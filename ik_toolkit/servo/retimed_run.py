@@ -197,7 +197,7 @@ class Run:
         """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with the square of that rate."""
         excess, near, clock = self._excess(taken.E), round(RETIME.near / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
-            here = slice(*np.searchsorted(way.s, clock.s[[max(k - near, 0), min(k + near, len(excess) - 1)]]))
+            here = slice(*np.searchsorted(way.s, clock.s[np.clip([k - near, k + near], 0, len(excess) - 1)]))
             top[here] = np.minimum(top[here], np.sqrt(max(RETIME.enough / excess[k], RETIME.least)) * clock.rate[k])
 
     def _ways(self, here: Way) -> Iterator[Way]:

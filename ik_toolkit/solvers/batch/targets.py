@@ -124,7 +124,7 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 def known(targets: Any, base: str = "") -> Any:
     """Return targets, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator."""
-    if isinstance(targets, str | bytes):
+    if isinstance(targets, str | bytes | set | frozenset):  # a set has no order
         raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
@@ -135,6 +135,8 @@ def known(targets: Any, base: str = "") -> Any:
     if read_pose(targets) is not None:
         raise InvalidTarget(f"targets must be many, and this is one ROS message; give a list of them, {STACKED}")
     if isinstance(targets, Mapping):
+        if not is_by_name(targets):
+            as_array(targets)  # raises InvalidTarget, which says how a pose is a dict
         return {
             tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None
         }
@@ -145,7 +147,7 @@ def known(targets: Any, base: str = "") -> Any:
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
-        raise InvalidTarget(f"targets must be {STACKED}") from None
+        raise InvalidTarget(f"targets must be {STACKED}, either poses or positions") from None
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
@@ -210,7 +212,14 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     tips, F = robot.tips, len(robot.tips)
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
-            raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
+            hint = (
+                "; a row with a position and a quaternion is ik.pose(xyz=, quat_xyzw=)"
+                if array.shape[-1:] == (7,)
+                else ""
+            )
+            raise InvalidTarget(
+                f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}{hint}"
+            )
         return Block((array,), robot.pose_shape)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
