@@ -36,9 +36,13 @@ def as_path(value: Any, what: str = "it") -> Path:
 
 
 def as_output(value: Any, what: str, *suffixes: str) -> Path:
-    """Return the path of a file to write. Raises InvalidOption, "WHAT is written as .a or .b, not .c", for another suffix."""
+    """Return the path of a file to write. Raises InvalidOption, "WHAT is written as .a or .b, not .c", for another suffix.
+
+    If there is only one format, a device or pipe (which the shell may name /dev/fd/63) needs no suffix.
+    """
     file = as_path(value, "file")
-    if file.suffix.lower() not in suffixes:
+    stream = len(suffixes) == 1 and (file.is_fifo() or file.is_char_device())
+    if file.suffix.lower() not in suffixes and not stream:
         named = " or ".join(filter(None, (", ".join(suffixes[:-1]), *suffixes[-1:])))
         raise InvalidOption(f"{what} is written as {named}, not '{file.name}'")
     return file

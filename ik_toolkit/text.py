@@ -7,7 +7,7 @@ import math
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +85,11 @@ def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
     return f"{figure(radians / unit[0], digits)} {unit[1]}"
 
 
-def decimal(text: str) -> float:
-    """Return the number in a text. Raises ValueError, also for '1_0', which `float` reads as 10."""
-    return float(text.replace("_", "?"))
+def decimal(text: str, kind: Callable[[str], Any] = float) -> Any:
+    """Return the number in a text, of a kind: float or int. Raises ValueError, also for '1_0' and digits of other scripts."""
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"'{text}' is not a number")
+    return kind(text)
 
 
 def numbers(text: str) -> list[float] | None:
@@ -142,7 +144,7 @@ def parameter(name: str, text: str) -> Any:
 
     Raises InvalidOption, which names the parameter, for anything else.
     """
-    for read in (int, float, json.loads) if "_" not in text else (json.loads,):
+    for read in (lambda x: decimal(x, int), decimal, json.loads):
         try:
             return read(text.lower() if text in ("True", "False") else text)
         except ValueError:

@@ -15,7 +15,7 @@ import typer
 
 from ..compile.jit import compile_time
 from ..errors import InvalidOption, MissingExtra
-from ..files import PARTIAL, WholeFile, inert
+from ..files import PARTIAL, WholeFile, as_output, inert
 from ..robot.pose_files import Convention, read_poses
 from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResult
 from ..solvers.batch.solve_batch import solve_batch, solve_parts
@@ -233,8 +233,9 @@ def solve_file(
     On Ctrl-C or SIGTERM the finished part is kept as NAME.partial. If the check by Pinocchio fails, the results are kept as
     NAME.failed, and the exit code is 1.
     """
-    if output is None or output.suffix.lower() not in FORMATS:
+    if output is None:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(FORMATS)}")
+    as_output(output, "what -o FILE gets with --targets", *FORMATS)
     count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()

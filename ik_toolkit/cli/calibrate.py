@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
-from ..files import write_table
+from ..files import as_output, write_table
 from ..text import figure, length, numbers, vector
 from .command import PLOTS, command, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
@@ -60,11 +60,9 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     """
     if asked.data is None and asked.suggest is None:
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")
-    ends = ".csv" if asked.suggest is not None else ".urdf"
-    if asked.output is not None and asked.output.suffix.lower() != ends:
-        raise InvalidOption(
-            f"-o takes a {ends} file {'with --suggest' if ends == '.csv' else 'for the corrected robot'}, not '{asked.output}'"
-        )
+    if asked.output is not None:
+        what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
+        as_output(asked.output, *what)
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]
     if asked.data is None:

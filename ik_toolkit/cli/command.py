@@ -1,22 +1,23 @@
 """Declaration of the options of a command of `ik`: fields of frozen dataclasses, with type, default and help text."""
 
+import contextlib
 import functools
 import importlib.util
 import inspect
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, dataclass_transform, get_type_hints
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import typer
 import typer.core
 
 from ..errors import IKError, InvalidOption, MissingExtra
-from ..files import require_place
-from ..text import comma_hint, numbers
+from ..files import as_output, require_place
+from ..text import comma_hint, decimal, numbers
 from .usage import UsageError, help_text, in_flags
 
 TIP = ("--tip", "--ee")  # both names of the option for a tip
@@ -113,6 +114,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         for one in _declared(record):
             kind, info = inspect.Parameter.KEYWORD_ONLY, one.metadata["info"]
             default = inspect.Parameter.empty if one.default is MISSING else one.default
+            if number := {*get_args(types[one.name]), types[one.name]} & {int, float}:
+                info.parser, info.callback = str, numeric(number.pop())
             annotation = Annotated[types[one.name], info]
             parameters.append(inspect.Parameter(one.name, kind, default=default, annotation=annotation))
     run.__annotations__ = {one.name: one.annotation for one in parameters}
@@ -131,20 +134,38 @@ def add_commands(app: typer.Typer, module: Any) -> None:
 
 
 # --------------------------------------------------------------------------------------------------------------- files
-def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
+def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
     """Return a check of an output path that reports foreseeable mistakes before the work starts."""
 
-    def check(file: Path | None) -> Path | None:
+    def check(param: typer.CallbackParam, file: Path | None) -> Path | None:
         if file is None:
             return None
-        if suffixes and file.suffix.lower() not in suffixes:
-            raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
+        if suffixes:
+            as_output(file, f"the file of {'/'.join(param.opts)}", *suffixes)
         if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
         require_place(file)
         return file
 
     return check
+
+
+def numeric(kind: type) -> Callable[[typer.CallbackParam, Any], Any]:
+    """Return a reader of a number, float or int, from the text or default of an option; nan and numbers that `decimal` refuses are
+    mistakes.
+    """
+
+    def read(param: typer.CallbackParam, given: Any) -> Any:
+        if given is None:
+            return None
+        with contextlib.suppress(ValueError):
+            if (value := decimal(str(given), kind)) == value:
+                return value
+        name = "/".join(param.opts)
+        what, hint = ("a whole number", "") if kind is int else ("a number", comma_hint(str(given), name, (1,)))
+        raise InvalidOption(f"{name} takes {what}, not '{given}'{hint}")
+
+    return read
 
 
 def _same_file(one: str | Path, other: str | Path) -> bool:
@@ -167,7 +188,9 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the arguments. Raises InvalidOption."""
-        several = {name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts}
+        several = {
+            name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
+        }
         args = _joined(args, several)
         if (
             ctx.resilient_parsing
@@ -189,9 +212,6 @@ class Command(typer.core.TyperCommand):
             return super().parse_args(ctx, [*args])
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
-            for name, text in _given(args, getattr(getattr(error, "param", None), "opts", ())):
-                if hint := comma_hint(text, name, (1,)):
-                    raise InvalidOption(f"{name} takes a number, not '{text}'{hint}") from None
             raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -200,7 +220,9 @@ class Command(typer.core.TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InvalidOption."""
-        written = [ctx.params[one.name] for one in self.params if one.callback and ctx.params.get(one.name)]
+        written = [
+            ctx.params[one.name] for one in self.params if one.callback and isinstance(ctx.params[one.name], Path)
+        ]
         for k, output in enumerate(written):
             if any(_same_file(output, other) for other in written[:k]):
                 raise InvalidOption(f"two results cannot be written to one file, '{output}'")
@@ -221,14 +243,6 @@ class Command(typer.core.TyperCommand):
             raise
 
 
-def _given(words: Sequence[str], names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each option among `names` in the words of a command with the value that follows it."""
-    for word, after in pairwise([*words, ""]):
-        name, equals, value = word.partition("=")
-        if name in names:
-            yield name, value if equals else after
-
-
 def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     """Join the numbers that follow one of these options into one argument (the parser takes one, and reads -1 as an option)."""
     joined: list[str] = []
@@ -239,10 +253,15 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
         if collecting and joined[-1].endswith("="):  # the first number, which may follow "TIP:"
             joined[-1] += word
             continue
-        if collecting and numbers(word):
+        if collecting and _like_a_number(word):
             joined[-1] += f" {word}"
             continue
         after = words[position + 1] if position + 1 < len(words) else ""
-        collecting = word in several and numbers(after.rpartition(":")[2]) is not None
+        collecting = word in several and (after[:1] not in ("", "-") or _like_a_number(after))
         joined.append(f"{word}=" if collecting else word)
     return joined
+
+
+def _like_a_number(word: str) -> bool:
+    """Return whether a word is a number, or so like one (1_0) that it belongs to the numbers before it."""
+    return numbers(word) is not None or re.fullmatch(r"[-+]?\d[\d_.,eE+-]*", word) is not None

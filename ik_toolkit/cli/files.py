@@ -35,7 +35,9 @@ class DhOptions(JsonOutput):
     """Options for the D-H table and the file of the URDF."""
 
     table: str = argument("TABLE", "D-H table, a .toml or .csv file.")
-    output: Path | None = option("FILE", "Write the URDF to a file instead of stdout.", "-o", "--output", writes=[])
+    output: Path | None = option(
+        "FILE", "Write the URDF to a .urdf instead of stdout.", "-o", "--output", writes=[".urdf", ".xml"]
+    )
 
 
 @options()

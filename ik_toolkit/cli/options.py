@@ -82,7 +82,7 @@ class TableOutput(JsonOutput):
 class ObjectOutput(JsonOutput):
     """Options for what is printed and written."""
 
-    output: Path | None = option("FILE", "Also write the JSON object to a file.", "-o", "--output", writes=[])
+    output: Path | None = option("FILE", "Also write the JSON object to a .json.", "-o", "--output", writes=[".json"])
 
 
 @options("Output")
@@ -175,6 +175,8 @@ class RobotOptions:
 
             angles = vector(self.base_rpy or "0 0 0", "--base-rpy", 3)
             place = vector(self.base_xyz or "0 0 0", "--base-xyz", 3)
+            if not all(map(math.isfinite, (*place, *angles))):
+                raise InvalidOption("--base-xyz and --base-rpy take finite numbers")
             more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
         if self.rail is not None:
             if "on_base" in more:
@@ -386,7 +388,7 @@ class CollisionOptions:
                 forms = " or ".join(f"{kind}:{form}" for kind, (form, _) in OBSTACLES.items())
                 raise InvalidOption(f"--obstacle takes {forms}; not '{text}'")
             form, sizes = OBSTACLES[kind]
-            values = numbers(rest) or []
+            values = [x for x in numbers(rest) or () if math.isfinite(x)]
             turned = len(values) == 6 + sizes and kind != "sphere"
             if len(values) != 3 + sizes and not turned:
                 raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
+from ..files import as_output
 from ..text import angle, comma_hint, duration, figure, length, vector
 from .command import PLOTS, REQUIRED, above_zero, command, flag, option, options, same
 from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
@@ -71,8 +72,8 @@ class PathOptions:
             raise InvalidOption("--tip-speed belongs to --retime")
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
-        if self.retime and self.output is not None and self.output.suffix.lower() == ".npz":
-            raise InvalidOption(f"a trajectory is written as .csv or .json, not '{self.output}'")
+        if self.retime and self.output is not None:
+            as_output(self.output, "a trajectory", ".csv", ".json")
         above_zero(self.max_step_deg, "--max-step-deg")
         above_zero(self.max_step_mm, "--max-step-mm")
         above_zero(self.path_tolerance_mm or 1.0, "--path-tolerance-mm")
@@ -83,7 +84,7 @@ class PathOptions:
         return {
             "q0": joint_vector(arm, self.q0, "--q0", deg),
             "q_end": joint_vector(arm, self.q_end, "--q-end", deg),
-            "reconfigurations": int(words) if words.isdecimal() else words,
+            "reconfigurations": int(words) if words.isascii() and words.isdecimal() else words,
             "max_step": (math.radians(self.max_step_deg), 1e-3 * self.max_step_mm),
             "path_tolerance": None if off is None else (1e-3 * off, TURN),
         }

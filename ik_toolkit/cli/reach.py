@@ -6,7 +6,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..text import figure, length
+from ..text import decimal, figure, length
 from .command import PLOTS, command, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
 from .output import notice, partial, progress, show, write_json
@@ -123,7 +123,7 @@ def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
 def _word_or_count(text: str, word: str, name: str, what: str) -> Any:
     """Return the text if it is the word, or the whole number in it. Raises InvalidOption."""
     try:
-        return text if text == word else int(text)
+        return text if text == word else decimal(text, int)
     except ValueError:
         raise InvalidOption(f"{name} is '{word}' or a number of {what}, not '{text}'") from None
 

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
+from ..files import as_output
 from ..text import angle, duration, length, vector
 from . import first_use
 from .command import PLOTS, command, flag, option, options, same
@@ -133,6 +134,9 @@ class SolveOutput(ObjectOutput):
     plot: Path | None = option(
         "FILE", "Draw the error per iteration to a .png, .pdf or .svg file.", "--plot", writes=PLOTS
     )
+    output: Path | None = option(
+        "FILE", "Write the JSON object to a .json; with --targets the solutions.", "-o", "--output", writes=[]
+    )
     html: Path | None = same(SceneOutput, "html")
     live: bool = same(SceneOutput, "live")
 
@@ -220,6 +224,8 @@ def _refuse_contradictions(target: TargetOptions, wish: WishOptions, many: ManyO
         if wish.closest is not None and wish.q0 is not None:
             raise InvalidOption("give --closest or --q0, not both: the search starts there")
     else:
+        if out.output is not None:
+            as_output(out.output, "a solve without --targets", ".json")
         target.check()
         if not target.targets and target.xyz is None and target.matrix is None and target.from_q is None:
             raise InvalidOption(

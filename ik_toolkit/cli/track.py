@@ -80,8 +80,8 @@ def track(
     q = joint_vector(arm, asked.q0, "--q0", robot.deg)
     own = {name for record in (asked, counts, collisions, tolerances, robot, out) for name in vars(record)}
 
-    def run(path: Asked, quiet: bool = False) -> Any:
-        return _run(arm, asked, path, own, vars(tolerances) | what | collisions.read(arm), quiet)
+    def run(path: Asked, quiet: bool = False, **more: Any) -> Any:
+        return _run(arm, asked, path, own, vars(tolerances) | what | collisions.read(arm) | more, quiet)
 
     path, result = _follow(arm, asked, q, what, tolerances.position_tolerance, run)
     if asked.output is not None:

@@ -239,6 +239,8 @@ def advice(
         other = drawn(more)
         if trace(arm, other, path.q0, **options) is not None and follows(other, path.q0):
             one[name] = words
+    if "priority" not in options and run(path, True, priority="position").success:
+        one["--priority"] = "--priority position"
     elsewhere = other_start(arm, path.reference, **options)
     if elsewhere is not None and follows(path.reference, elsewhere):
         shown = (number(float(x), kind, deg) for x, kind in zip(elsewhere, arm.joint_kinds, strict=True))

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
-from .command import PLOTS, argument, command, flag, option, options, same, writable
+from ..files import require_place
+from .command import PLOTS, argument, command, flag, option, options, same
 from .options import TableOutput, WholeRobot, solvers_like
 from .output import notice, partial, progress, show, write_json, write_rows
 from .pictures import chart
@@ -79,7 +80,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
     preset = asked.output or Path(f"{Path(robot.robot).stem}-{asked.solver}.toml")
     record = preset.with_suffix(".npz")
     for file in (preset, record):
-        writable(file.suffix)(file)
+        require_place(file)
     unchanged = "method maps targets held_out generations population seconds seed tolerance max_iterations how".split()
     with _record(record, asked.resume), progress("searching", asked.generations, asked.seconds) as bar:
         options = {name: getattr(asked, name) for name in unchanged} | {"initial": initial, "checkpoint": record}

@@ -12,11 +12,14 @@ from ..text import in_shell
 # Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 # option names that differ from the names of the library's arguments
-PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}
+PYTHON_NAMES = {
+    "acceleration_limits": "acceleration", "relative_to": "relative", "count": "suggest", "package_dirs": "package_dir",
+    "xacro_args": "xacro_arg", "base_limits": "rail",
+}  # fmt: skip
 # Matches the name of an argument that is the subject of a sentence.
-SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")
-# Matches limits=False or tip=, but nothing in quotes, because that is what a user has typed.
-WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
+SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| \(| must | is | has | of '| ')")
+# Matches limits=False, tip= or base='world', but nothing in quotes, because that is what a user has typed.
+WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)']|$)")
 WIDEST = 100  # [columns] longer lines are hard to read
 COLUMN = 30  # column at which the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups of options that come last in the help, after the others as declared
@@ -101,7 +104,8 @@ def in_flags(text: str, command: Any) -> str:
             return found[0]
         option = options[name]
         names = option.secondary_opts if value == "False" else option.opts
-        return (no or "") + next((one for one in names if one.startswith("--")), found[0])
+        space = " " if found.string[found.end() :].startswith("'") and "=" in found[0] else ""
+        return (no or "") + next((one for one in names if one.startswith("--")), found[0]) + space
 
     return WITH_VALUE.sub(flag, SUBJECT.sub(flag, text))
 

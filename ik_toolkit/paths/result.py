@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, NotSolved
-from ..files import as_path, whole_file, write_table, write_whole
+from ..errors import NotSolved
+from ..files import as_output, whole_file, write_table, write_whole
 from ..motion.trajectory import Trajectory
 from ..solvers.options import Options
 from ..style import BAD, GOOD
@@ -178,9 +178,8 @@ class PathResult:
         Raises:
             InvalidOption: another ending.
         """
-        file = as_path(path, "path")
-        suffix = file.suffix.lower()
-        if suffix == ".json":
+        file = as_output(path, "a path", ".csv", ".npz", ".json")
+        if (suffix := file.suffix.lower()) == ".json":
             write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
         elif suffix == ".npz":
             arrays: dict[str, Any] = {"targets": self.targets, "q": self.q, "position_error": self.position_error}
@@ -189,15 +188,13 @@ class PathResult:
             arrays["reconfigurations"] = np.array([one.index for one in self.reconfigurations], dtype=int)
             with whole_file(file) as stream:
                 np.savez_compressed(stream, joint_names=np.array(self.robot.joint_names), **arrays)
-        elif suffix == ".csv":
+        else:
             head = ["pose", *self.robot.joint_names, "position_error"]
             columns = [self.q, self.position_error[:, None]]
             if self.orientation_error is not None:
                 head.append("orientation_error")
                 columns.append(self.orientation_error[:, None])
             write_table(file, head, ([k, *row] for k, row in enumerate(np.hstack(columns).tolist())))
-        else:
-            raise InvalidOption(f"a path is saved as .csv, .npz or .json, not '{file.suffix or file.name}'")
         return file
 
     def retime(

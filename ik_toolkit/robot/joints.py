@@ -28,6 +28,7 @@ from .formats.srdf import Srdf
 from .mobility import mobility_of
 from .narrow import narrowed
 from .probe import JointPath
+from .ros import is_by_name
 
 LOG = logging.getLogger("ik_toolkit")
 # rows of a tip's Jacobian, by the word for them
@@ -164,8 +165,10 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict by tip: {tip: given} for a Robot; for a Tree they already are one."""
-        return given if self.by_tip else {self.tips[0]: given}
+        """Return targets or poses as a dict by tip, unless they are one. Raises FrameNotFound for an unknown name in it."""
+        if named := is_by_name(given):
+            self.check_tips(given)
+        return given if named or self.by_tip else {self.tips[0]: given}
 
     def for_tips(self, each: Mapping[str, Any]) -> Any:
         """Return the inverse of `each_tip`: for a Robot the value of its only tip, for a Tree the dict itself."""
@@ -178,8 +181,7 @@ class Joints(ReadOnly):
     @functools.cached_property
     def mobility(self) -> Any:
         """Motions that the tip cannot make in any configuration, as a `Mobility`; for a Tree a dict of them by tip."""
-        found = {arm.tip: mobility_of(arm) for arm in self.arms}
-        return self.for_tips(found)
+        return self.for_tips({arm.tip: mobility_of(arm) for arm in self.arms})
 
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
@@ -227,12 +229,11 @@ class Joints(ReadOnly):
         """
         joints = values_by_joint(joints)
         made = self._locked(joints)
-        outside = [
+        if outside := [
             f"{joint} ({joints[joint]:.4g} {'m' if kind == 'prismatic' else 'rad'}, limits {low:.4g} to {high:.4g})"
             for joint, kind, low, high in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, strict=True)
             if joint in joints and not low <= joints[joint] <= high
-        ]
-        if outside:
+        ]:
             LOG.warning("locked outside the limits: %s", ", ".join(outside))
         return made
 
@@ -265,8 +266,7 @@ class Joints(ReadOnly):
     def check_home(self, home: Any) -> np.ndarray:
         """Return home as `check_q` does; also raises InvalidConfiguration outside the limits, because searches start there."""
         q = self.check_q(home, "home")
-        outside = self.outside(q)
-        if outside:
+        if outside := self.outside(q):
             raise InvalidConfiguration(f"home is outside the limits at joint {', '.join(outside)}")
         return q
 

@@ -58,7 +58,7 @@ def urdf_of(
             # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
             raise HasMacros("it calls macros")
         if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
+            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is a plain URDF")
     except HasMacros:
         if entry.path is None:
             raise
@@ -66,7 +66,7 @@ def urdf_of(
         return Urdf(text, entry.path, folders, made=True)
     except IsMjcf:
         if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
+            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is MJCF") from None
         flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
         return Urdf(
             safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
@@ -143,7 +143,7 @@ def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> t
 
 def require_text_or_file(source: str | Path) -> None:
     """Raise RobotNotFound unless a source is XML text or the path of a file."""
-    if not is_text(source) and not Path(source).expanduser().is_file():
+    if not is_text(source) and not (isinstance(source, str | Path) and Path(source).expanduser().is_file()):
         raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
 
 

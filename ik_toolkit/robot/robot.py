@@ -320,6 +320,7 @@ class Robot(Joints):
 
         The target is a pose or a position [m] in the base frame (angle None). Raises InvalidConfiguration, InvalidTarget.
         """
+        target = self.each_tip(target).get(self.tip, target)
         return self._errors(self.check_q(q), check_target(target, self.base)[0])
 
     def _errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget
 from ..kernel.records import POINTS
-from ..motion.reference import Reference, log
+from ..motion.reference import MAX_STEPS, Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
@@ -103,6 +103,10 @@ class PathMotion:
         T = reference.at(np.linspace(0.0, reference.duration, ORBIT.samples))[0]
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
         count = max(ORBIT.samples, int(moved.max(axis=(1, 2)).sum() / ORBIT.fine))
+        if count > MAX_STEPS:
+            raise InvalidOption(
+                f"{reference!r} takes {count:.3g} samples to judge gains along it; at most {MAX_STEPS:g}"
+            )
         self.times = np.linspace(0.0, reference.duration, count)
         start = robot.home if q0 is None else robot.check_q(q0, "q0")
         self.q = np.tile(solve(robot, reference.target(0.0), q0=start).q, (count, 1))

@@ -243,6 +243,8 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
     for words, other, kept in ways:
         if not any(one.startswith("scaled") for one in works) and trace(robot, other, q0, **kept) is not None:
             works.append(words)
+    if works and works[0].endswith("free") and not options.get("priority"):
+        works.insert(1, "with the position before it (priority)")
     elsewhere = other_start(robot, reference, **options)
     if elsewhere is not None:
         works.append(f"from q0 = [{', '.join(f'{x:{SURVEY.digits}}' for x in elsewhere)}]")

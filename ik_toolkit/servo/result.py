@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..files import as_path, whole_file, write_table, write_whole
+from ..files import as_output, whole_file, write_table, write_whole
 from ..robot.constraints import first_open
 from ..robot.ros import joint_trajectory
 from ..text import angle, length
@@ -177,7 +177,7 @@ class TrackResult:
 
         Raises InvalidOption for another suffix.
         """
-        file = as_path(path, "path")
+        file = as_output(path, "a run", ".npz", ".csv", ".json")
         if file.suffix.lower() == ".npz":
             optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
             optional["between_position"] = self.between_position
@@ -197,10 +197,8 @@ class TrackResult:
             head.append("clock")
             parts.append(self.clock[:, None])
             write_table(file, head, np.hstack(parts).tolist())
-        elif file.suffix.lower() == ".json":
-            write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         else:
-            raise InvalidOption(f"a run is saved as .npz, .csv or .json, not '{file.suffix}'")
+            write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         return file
 
 

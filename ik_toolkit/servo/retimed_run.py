@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.limits import LIMIT
-from ..motion.reference import Reference, checked
+from ..motion.reference import MAX_STEPS, Reference, checked
 from ..motion.time_law import coordinate_at, evenly, resampled, smoothed, time_law, times_of
 from ..validate import LATE
 from .null_space_motion import AVOID, POSTURE
@@ -197,8 +197,7 @@ class Run:
         """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with the square of that rate."""
         excess, near, clock = self._excess(taken.E), round(RETIME.near / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
-            ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
-            here = slice(*np.searchsorted(way.s, ends))
+            here = slice(*np.searchsorted(way.s, clock.s[np.clip([k - near, k + near], 0, len(excess) - 1)]))
             top[here] = np.minimum(top[here], np.sqrt(max(RETIME.enough / excess[k], RETIME.least)) * clock.rate[k])
 
     def _ways(self, here: Way) -> Iterator[Way]:
@@ -208,6 +207,8 @@ class Run:
         parts = max(
             -(-RETIME.fewest // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
         )
+        if parts * self.count > MAX_STEPS:
+            return
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
@@ -222,10 +223,9 @@ class Run:
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
         slowest = found[0][0] == 0 and found[0][1] > self.most  # then another posture would not help
-        if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
-            planned = self._planned(samples)
-            if planned is not None:
-                yield Way(s, planned, 0.0, here.posture, led=True)
+        other = plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one
+        if other and (planned := self._planned(samples)) is not None:
+            yield Way(s, planned, 0.0, here.posture, led=True)
         if found[0][0] > 0:
             yield found[0][2]
 

@@ -153,7 +153,8 @@ def track(
     try:
         result = _judged(run, best, check)
         if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not run.interrupted:
-            reach, words = explain(robot, reference, q0, limits=limits, **counts)
+            asked = robot.for_tips(dict(zip(robot.tips, references, strict=True)))
+            reach, words = explain(robot, asked, q0, limits=limits, **counts)
             result.reach, result.message = reach, f"{result.message} {words}".rstrip()
     except KeyboardInterrupt:
         run.interrupted = True
@@ -166,17 +167,15 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
     """Return one reference per tip. Raises InvalidOption if `robot` is not a robot, InvalidTarget if a reference is missing."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
-    if not robot.by_tip:
-        if not isinstance(reference, Reference):
-            raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
-        return [reference]
-    wanted = f"track follows a dict of References, one for each of {', '.join(robot.tips)}"
-    if not isinstance(reference, Mapping):
-        raise InvalidTarget(f"{wanted}, not {type(reference).__name__}")
-    robot.check_tips(reference)
-    found = [one for one in (reference.get(tip) for tip in robot.tips) if isinstance(one, Reference)]
+    kinds = f"a dict of References, one for each of {', '.join(robot.tips)}"
+    each = robot.each_tip(reference)
+    found = (
+        [one for one in map(each.get, robot.tips) if isinstance(one, Reference)] if isinstance(each, Mapping) else []
+    )
     if len(found) < len(robot.tips):
-        raise InvalidTarget(wanted)
+        wanted = kinds if robot.named_tips else "a Reference (ik.circle, ik.line, ...)"
+        given = [type(one).__name__ for one in (reference.values() if isinstance(reference, Mapping) else [reference])]
+        raise InvalidTarget(f"track follows {wanted}, not {', '.join(given) or 'an empty dict'}")
     if len({one.duration for one in found}) > 1:
         raise InvalidTarget(
             f"the references of the tips must last equally long, not {[one.duration for one in found]} s"

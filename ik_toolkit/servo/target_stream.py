@@ -17,6 +17,7 @@ from ..kernel.kinematics import angle_ratio, rotation_error
 from ..kernel.records import copy
 from ..motion.reference import exp, log
 from ..robot.pose import AxisTarget, as_array
+from ..robot.ros import is_by_name
 from ..solvers.batch.targets import SHAPES
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_from, samples_of
@@ -340,7 +341,7 @@ class Stream(CopiesViews):
 
         Raises InvalidTarget.
         """
-        if self.robot.by_tip:
+        if self.robot.by_tip or is_by_name(target):
             values = target.values() if isinstance(target, Mapping) else target
             several = isinstance(target, Mapping | list | tuple | np.ndarray)
             if several and not all(_finite(one) for one in values if one is not None):

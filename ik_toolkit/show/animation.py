@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_path, check_arrays, read_json, require_place, whole_file, why_unread, without_mark, write_whole
+from ..files import as_output, check_arrays, read_json, require_place, whole_file, why_unread, without_mark, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
 from ..robot.ros import is_by_name
@@ -130,14 +130,12 @@ def thin_rows(count: int, most: int) -> np.ndarray:
 
 def each_target(robot: Joints, target: Any) -> dict[str, Any]:
     """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if is_by_name(target):
-        robot.check_tips(target)
-        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
-    if not robot.by_tip:
-        return {robot.tips[0]: target}
-    if len(target) != len(robot.tips):
-        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
-    return dict(zip(robot.tips, target, strict=True))
+    each = robot.each_tip(target)
+    if is_by_name(each):
+        return {tip: each[tip] for tip in robot.tips if each.get(tip) is not None}
+    if len(each) != len(robot.tips):
+        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(each)}")
+    return dict(zip(robot.tips, each, strict=True))
 
 
 def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None]:
@@ -275,10 +273,8 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
 
     with drawing():  # says what to install
         from PIL import Image
-    file, known, made = as_path(path, "path"), (".gif", ".mp4") if most else (".png",), window.about["animation"]
-    kind = file.suffix.lower()
-    if kind not in known:
-        raise InvalidOption(f"the picture is written as {' or '.join(known)}, not '{file.suffix or file.name}'")
+    file = as_output(path, "the picture", *((".gif", ".mp4") if most else (".png",)))
+    kind, made = file.suffix.lower(), window.about["animation"]
     coder = encoder() if kind == ".mp4" else ""  # says what to install before the pictures are made
     require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)

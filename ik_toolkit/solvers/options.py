@@ -187,7 +187,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
     """
     values = dict(given)
     if "tolerance" in values:
-        tolerance = values.pop("tolerance")
+        tolerance = _number("tolerance", values.pop("tolerance"), 1e-14, math.inf)
         values.setdefault("position_tolerance", tolerance)
         values.setdefault("orientation_tolerance", tolerance)
     for name, value in values.items():

@@ -136,6 +136,10 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
     )
     for tip, kind, counts, other, ends in given:
         if kind == KIND.free:
+            if other >= 0:
+                raise InvalidOption(
+                    f"relative_to: '{tip}' has no target; give it one in the frame of '{robot.tips[other]}', or leave it out"
+                )
             tasks.append(Task(KIND.free, 0.0, -1.0, 0.0, *NONE[:3], *NONE))
             continue
         axis = free_axis(counts, kind, _at(robot, tip))

@@ -204,6 +204,8 @@ def place(
     check_progress(progress, "the number of candidates counted")
     count = whole(count, "count")
     W = _poses(robot, poses)
+    if options.get("relative_to"):
+        raise InvalidOption("place takes the poses of every tip in the world; omit relative_to")
     if "restarts" in options:
         raise InvalidOption("place chooses the number of attempts; omit restarts")
     low, high = _region(robot, W, where, yaw, height)
@@ -225,7 +227,6 @@ def _poses(robot: Robot | Tree, given: Any) -> dict[str, np.ndarray]:
     made, each = {}, robot.each_tip(given)
     if not isinstance(each, Mapping):
         raise InvalidTarget(f"place needs the poses of several tips as a dict by tip: {', '.join(robot.tips)}")
-    robot.check_tips(each)
     for tip in [tip for tip in robot.tips if each.get(tip) is not None]:
         W, of = known(each[tip], robot.base), f" of {tip}" if robot.named_tips else ""
         if not isinstance(W, np.ndarray) or W.shape[1:] not in ((4, 4), (3,)) or not len(W):

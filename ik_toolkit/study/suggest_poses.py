@@ -51,7 +51,7 @@ def suggest_poses(
     sigma = read_noise(noise) or NOISE
     known = np.diag(1.0 / arm.scales(*PRIOR) ** 2)
     x = (
-        np.random.default_rng(seed).normal(size=len(arm.unknowns))
+        np.random.default_rng(whole(seed, "seed", 0)).normal(size=len(arm.unknowns))
         * arm.scales(*PRIOR)
         * 0.3
         * np.array([one.group != "base" for one in arm.unknowns])
@@ -111,7 +111,7 @@ def chosen_poses(
 
 def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
     """Return random configurations (m, n), at most `count`; if collisions are to be avoided, without those in collision."""
-    Q = robot.random_q(np.random.default_rng(seed), count)
+    Q = robot.random_q(np.random.default_rng(whole(seed, "seed", 0)), count)
     if avoid is True:
         try:
             avoid = CollisionModel(robot)

@@ -60,7 +60,7 @@ def sample_targets(
     require_robot(robot)
     one_of(how, HOW, "way of sampling")
     switch(position_only, "position_only")
-    count = whole(count, "the number of targets")
+    count = whole(count, "targets")
     if tip is not None or how == "volume":
         tip = one_tip(robot, tip)
     try:
@@ -95,6 +95,6 @@ def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
     """Draw the targets of `sample_targets` in chunks, for more than fit in memory; chunk k depends only on (seed, k)."""
-    count = whole(count, "the number of targets")
+    count = whole(count, "targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

@@ -22,7 +22,7 @@ from ..solvers.registry import find_row, make_rule
 from ..solvers.rows import Row
 from ..solvers.solve import require_robot
 from ..solvers.tuning_space import Space
-from ..validate import number, one_of
+from ..validate import not_negative, one_of
 from .benchmark import wilson
 from .engines import Evolution, Swarm, make_space
 from .targets import sample_targets
@@ -230,7 +230,7 @@ def tune(
     row, default = _tunable(robot, solver, method)
     seed, generations = whole(seed, "seed", 0), whole(generations, "generations", 0)
     held_out, max_iterations = whole(held_out, "held_out"), whole(max_iterations, "max_iterations")
-    seconds = None if seconds is None else number(seconds, "seconds")
+    seconds = None if seconds is None else not_negative(seconds, "seconds")
     check_progress(progress, "a generation and its costs")
     as_asked = maps is not None or initial is not None
     space = make_space(robot, row.name, position_only, maps, initial)

@@ -52,8 +52,41 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         ([*SOLVE, "-p", "damping"], "-p takes NAME=VALUE"),
         ([*SOLVE, "-p", "damping=much"], "takes a number"),
         ([*SOLVE, "--tolerance", "-1"], "must be between 1e-14"),
-        ([*SOLVE, "--tolerance", "small"], "Invalid value for '--tolerance'"),
+        ([*SOLVE, "--tolerance", "small"], "--tolerance takes a number, not 'small'"),
         ([*SOLVE, "--max-iterations", "-5"], "--max-iterations"),
+        ([*SOLVE, "--tolerance", "-1"], "ik: --tolerance must be"),
+        *(
+            ([*SOLVE, "--tolerance", word], f"--tolerance takes a number, not '{word}'")
+            for word in ("1_0", "\uff11", "nan")
+        ),
+        *(
+            (["bench", "planar_2r", "-n", word], "-n takes a whole number, not '")
+            for word in ("1_0", "\uff11", "3.5", "inf")
+        ),
+        ([*SOLVE[:3], "1_0", "0", "0"], "--xyz takes 3 numbers, not '1_0 0 0'"),
+        ([*SOLVE[:3], "here", "0", "0"], "--xyz takes 3 numbers, not 'here 0 0'"),
+        ([*SOLVE[:3], "\uff11,0,0"], "--xyz takes 3 numbers, not '\uff11,0,0'"),
+        ([*SOLVE, "-s", "dls", "-p", "damping=\uff11"], "takes a number"),
+        (
+            ["check", "planar_2r", "--self-collision", "--seed", "-1"],
+            "--seed must be a whole number of at least 0, not -1",
+        ),
+        (["calibrate", "planar_2r", "--suggest", "3", "--seed", "-1"], "--seed must be a whole number of at least 0"),
+        ([*SOLVE, "--obstacle", "sphere:nan,1,1,1"], "--obstacle sphere: takes x,y,z,radius; got 3 numbers"),
+        ([*SOLVE, "--base-xyz", "nan", "0", "0"], "--base-xyz and --base-rpy take finite numbers"),
+        ([*SOLVE, "--package-dir", "gone"], "--package-dir: there is no folder 'gone'"),
+        ([*SOLVE, "--rail", "1", "0"], "--rail of 'base_x' must be two finite numbers, lower and upper"),
+        (["reach", "planar_2r", "--audit", "1_0"], "--audit is 'full' or a number of noes, not '1_0'"),
+        (["calibrate", "planar_2r", "--suggest", "-1"], "--suggest must be a whole number of at least 1, not -1"),
+        (["tune", "planar_2r", "pid", "--seconds", "-1"], "--seconds must not be negative, not -1"),
+        (["tune", "planar_2r", "pid", "--targets", "0"], "--targets must be a whole number of at least 1, not 0"),
+        ([*SOLVE, "-o", "x.png"], "a solve without --targets is written as .json, not 'x.png'"),
+        ([*SOLVE, "--all", "-o", "x"], "is written as .json, not 'x'"),
+        ([*SOLVE[:2], "--targets", DH, "-o", "x.json"], "is written as .csv, .npz or .parquet, not 'x.json'"),
+        (["convert", "planar_2r", "-o", "x.foo"], "the file of -o/--output is written as .urdf or .xml, not 'x.foo'"),
+        (["dh", DH, "-o", "x.csv"], "is written as .urdf or .xml, not 'x.csv'"),
+        (["bench", "planar_2r", "-o", "x.csv"], "is written as .json, not 'x.csv'"),
+        (["calibrate", "planar_2r", "--suggest", "3", "-o", "x.urdf"], "what --suggest finds is written as .csv, not"),
         ([*SOLVE, "--tip", "tol"], "Did you mean 'tool'"),
         ([*SOLVE, "--base", "bas_link"], "Did you mean 'base_link'"),
         ([*SOLVE, "--q0", "1", "2"], "--q0 takes 6 values, one per joint (azimuth_yaw"),
@@ -230,7 +263,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words,
     monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
     code, out, err = run(*words.split())
     assert code == 2 and out == "" and err.count("\n") == 1
-    assert "there is no folder 'no'" in err or "is a folder" in err or "must end in" in err
+    assert "there is no folder 'no'" in err or "is a folder" in err or "is written as" in err
 
 
 def test_several_targets_for_one_tip_are_refused_with_what_takes_them(run):

@@ -81,6 +81,7 @@ def test_an_option_declared_twice_is_refused():
 
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path):
-    assert writable()(None) is None and writable(".csv")(tmp_path / "x.CSV") == tmp_path / "x.CSV"
-    with pytest.raises(InvalidOption, match=r"must end in \.csv"):
-        writable(".csv")(tmp_path / "x.txt")
+    output = SimpleNamespace(opts=["-o", "--output"])
+    assert writable()(output, None) is None and writable(".csv")(output, tmp_path / "x.CSV") == tmp_path / "x.CSV"
+    with pytest.raises(InvalidOption, match=r"the file of -o/--output is written as \.csv, not 'x\.txt'"):
+        writable(".csv")(output, tmp_path / "x.txt")

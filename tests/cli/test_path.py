@@ -99,7 +99,7 @@ def test_pictures_are_drawn(run, files, tmp_path):
         (["--max-step-deg", "0"], "--max-step-deg must be positive"),
         (["--free-turn", "w"], r"--free-turn \(x, y, z, or a vector\) takes 3 numbers"),
         (["--reconfigurations", "many"], "reconfigurations must be 'fewest'"),
-        (["--plot", "x.txt"], r"must end in"),
+        (["--plot", "x.txt"], r"the file of --plot is written as"),
     ],
 )
 def test_mistakes_are_said_before_the_search(run, files, words, said):

@@ -187,18 +187,21 @@ def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, caps
     arm, table, path = tmp_path / "arm.urdf", tmp_path / "dh.toml", tmp_path / "way.csv"
     arm.write_text(find(ARM).source.read_text())
     table.write_text("no table")
+    os.link(table, tmp_path / "table.toml")
     path.write_text("t,x,y,z\n0,1,1,0\n1,1,1.1,0\n")
-    os.link(arm, tmp_path / "hard")
-    (tmp_path / "soft").symlink_to("arm.urdf")
+    os.link(arm, tmp_path / "hard.json")
+    os.link(table, tmp_path / "table.urdf")
+    (tmp_path / "soft.json").symlink_to("arm.urdf")
     solve = ["solve", str(arm), "--xyz", "1", "1", "0"]
     for words in (
-        *([*solve, "-o", str(tmp_path / name)] for name in ("arm.urdf", "hard", "soft")),
-        ["solve", "-o", f"{tmp_path}/./arm.urdf", *solve[1:]],
-        ["workspace", str(arm), "-n", "3", "-o", str(arm)],
-        ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(arm)],
-        ["dh", str(table), "-o", str(table)],
+        *([*solve, "-o", str(tmp_path / name)] for name in ("hard.json", "soft.json")),
+        ["solve", "-o", f"{tmp_path}/./hard.json", *solve[1:]],
+        ["workspace", str(arm), "-n", "3", "-o", str(tmp_path / "soft.json")],
+        ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(tmp_path / "hard.json")],
+        ["convert", str(arm), "-o", str(arm)],
+        ["dh", str(table), "-o", str(tmp_path / "table.urdf")],
         ["track", str(arm), "--path", str(path), "-o", str(path)],
-        ["workspace", str(arm), "-n", "3", "--preset", f"pid={table}", "-o", str(table)],
+        ["tune", str(arm), "pid", "--from", str(table), "-o", str(tmp_path / "table.toml")],
     ):
         before = {file: file.read_bytes() for file in tmp_path.iterdir()}
         assert main(words) == 2, words

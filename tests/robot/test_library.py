@@ -5,6 +5,7 @@ import importlib.util
 import sys
 import tomllib
 import types
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -98,6 +99,13 @@ def test_find_by_path_text_and_name(tmp_path, monkeypatch):
         assert (entry.name, entry.path, entry.tip, entry.home) == ("my", file, None, None)
     text = find(" \n<robot name='x'/>")
     assert text.path is None and text.source == " \n<robot name='x'/>"
+
+
+def test_a_path_may_be_a_name_and_text_needs_to_be_text():
+    assert ik.Robot.load(Path("planar_2r")).joint_names == ik.Robot.load("planar_2r").joint_names
+    for wrong in (None, 5, "planar_2r"):
+        with pytest.raises(RobotNotFound, match=f"there is no file '{wrong}'; Robot.load takes names"):
+            ik.Robot.from_urdf(wrong)
 
 
 @pytest.mark.parametrize(

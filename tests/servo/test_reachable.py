@@ -80,9 +80,11 @@ def test_a_run_that_leaves_says_what_was_tried_and_works(arm):
     ref = straight(arm, (0.2, 0, 0))
     run = ik.track(arm, ref, q0=arm.home)
     assert run.status.name == "LOST" and run.reach is not None and not run.reach.whole
-    assert "elbow_pitch at its limit; it works with the orientation free, or scaled by 0.4" in run.message
+    tried = "it works with the orientation free, or with the position before it (priority), or scaled by 0.4"
+    assert f"elbow_pitch at its limit; {tried}" in run.message
     data = json.loads(json.dumps(run.to_dict()))["reach"]
     assert data["joints"] == ["elbow_pitch"] and data["length"] == pytest.approx(0.2) and not data["whole"]
+    assert ik.track(arm, ref, q0=arm.home, priority="position").success
     good = ik.track(arm, straight(arm, (0.05, 0, 0)), q0=arm.home)
     assert good.success and good.reach is None and good.to_dict()["reach"] is None
 
@@ -170,7 +172,7 @@ def test_the_command_says_how_far_and_what_works(capsys, monkeypatch):
     )
     assert max(map(len, out.splitlines())) <= 80
     tried = json.loads((main([*words, "--json"]), capsys.readouterr().out)[1])["works"]
-    assert len(tried) == 3
+    assert len(tried) == 4 and "--priority position" in tried
     for option in tried:  # what is said to work does
         assert main([*words, *option.split()]) == 0, option
         capsys.readouterr()

@@ -184,7 +184,7 @@ def test_command_warns_and_refuses(capsys):
         (["--path", "circel"], "Did you mean 'circle'"),
         (["-m", "cw"], "Did you mean 'cv'"),
         (["--rate", "0"], "--rate"),
-        (["-o", "run.txt"], ".npz or .csv or .json"),
+        (["-o", "run.txt"], ".npz, .csv or .json"),
         (["--path", "missing.csv"], "no reference file"),
         (["-p", "damping=x"], "damping must be a number"),
     ):

@@ -145,7 +145,17 @@ def test_what_is_not_an_array_of_targets_is_refused(targets):
         ik.solve_batch(load("hydrolek_7w"), targets)
 
 
-@pytest.mark.parametrize(("targets", "said"), [("poses.csv", "not 'poses.csv'"), ([{1}], "not {1}")])
+@pytest.mark.parametrize(
+    ("targets", "said"),
+    [
+        ("poses.csv", "not 'poses.csv'"),
+        ([{1}], "not {1}"),
+        ([np.eye(4), np.zeros(3)], "either poses or positions"),
+        ({(1.0, 0.1, 0.2)}, "not {."),
+        ({"position": {"x": 1, "y": 0, "z": 0}}, "a pose that is a dict has the fields of a ROS message"),
+        (np.zeros((2, 7)), "a row with a position and a quaternion is ik.pose"),
+    ],
+)
 def test_what_was_given_for_targets_is_shown(targets, said):
     with pytest.raises(InvalidTarget, match=said):
         ik.solve_batch(load("hydrolek_7w"), targets)

@@ -23,6 +23,7 @@ def tree():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        (dict(tolerance=-1.0), r"^tolerance must be between 1e-14 and inf, not -1\.0"),
         (dict(max_iterations=2**20), r"max_iterations is at most \d+, not 1048576; use restarts for longer searches"),
         (dict(mask=(1, 1, 1)), r"mask must have six weights \(x, y, z, rx, ry, rz\), not 3"),
         (dict(slack=(9.0,) * 5), "slack"),
@@ -159,3 +160,21 @@ def test_what_a_tip_is_relative_to_is_a_name(tree):
             InvalidOption, match="relative_to must be a dict from a tip to the tip its target is relative to"
         ):
             ik.solve(tree, tree.fk(tree.home), relative_to=wrong)
+
+
+def test_a_tip_without_a_target_is_relative_to_nothing(tree):
+    first, second = tree.tips
+    only, poses = {first: tree.fk(tree.home)[first].homogeneous}, {first: tree.fk(tree.home)[first].homogeneous[None]}
+    for call in (
+        lambda: ik.solve(tree, only, relative_to={second: first}),
+        lambda: ik.solve_batch(tree, poses, relative_to={second: first}),
+        lambda: ik.solve_path(tree, poses, relative_to={second: first}),
+        lambda: ik.Tracker(tree, relative_to={second: first}).update(only, 0.01),
+    ):
+        with pytest.raises(InvalidOption, match=f"'{second}' has no target; give it one in the frame of '{first}'"):
+            call()
+    with pytest.raises(InvalidOption, match="poses of every tip in the world; omit relative_to"):
+        ik.place(tree, poses, relative_to={second: first})
+    T = tree.fk(tree.home)
+    free = ik.solve(tree, {first: T[second].actInv(T[first])}, q0=tree.home, relative_to={first: second})
+    assert free.success  # the second tip may have no target

@@ -48,6 +48,7 @@ def test_any_form_and_any_cut_gives_the_same_bytes(tree):
     assert ik.solve_batch(tree, {"right_tip": T[:, 1], "left_tip": T[:, 0]}).table.tobytes() == whole
     assert ik.solve_batch(tree, iter(np.split(T, 5))).table.tobytes() == whole
     assert ik.solve_batch(tree, [list(pair) for pair in T]).table.tobytes() == whole
+    assert ik.solve_batch(tree, [dict(zip(TIPS, pair, strict=True)) for pair in T]).table.tobytes() == whole
     assert np.concatenate([part.table for part in solve_parts(tree, T)]).tobytes() == whole
 
 
@@ -91,6 +92,12 @@ def test_collisions_and_objective_are_those_of_single_solves(tree):
         ({"left": np.zeros((2, 3))}, FrameNotFound, "Did you mean 'left_tip'"),
         ({}, InvalidTarget, "at least one of"),
         ({"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))}, InvalidTarget, "left_tip 2, right_tip 3"),
+        ([{"left_tip": [0, 0, 0]}, {"left": [0, 0, 0]}], FrameNotFound, "Did you mean 'left_tip'"),
+        (
+            [{"left_tip": [0, 0, 0]}, {"right_tip": [0, 0, 0]}],
+            InvalidTarget,
+            "target 1 is of right_tip and target 0 of left_tip",
+        ),
         ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets must be"),
         ({"left_tip": np.full((2, 3), np.nan)}, InvalidTarget, "target 0 of left_tip"),
         ({"left_tip": None, "right_tip": None}, InvalidTarget, "at least one of"),

@@ -114,7 +114,7 @@ def test_mistakes_are_named(call):
     "name", ["method", "how", "targets", "held_out", "generations", "population", "seconds", "seed", "tolerance"]
 )
 def test_a_wrong_value_is_refused_by_its_name(name, bad):
-    words = {"method": "tuning method", "how": "way of sampling", "targets": "number of targets"}
+    words = {"method": "tuning method", "how": "way of sampling"}
     with pytest.raises(InvalidOption, match=words.get(name, name)):
         tune(robots.load("hydrolek_7w"), "dls", **{**SMALL, "method": "pso", "generations": 1, name: bad})
 

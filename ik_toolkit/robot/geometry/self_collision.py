@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pinocchio as pin
 
-from ...errors import InvalidOption, ModelError
+from ...errors import ModelError, whole
 from ..joints import Joints
 from ..probe import NO_LIMIT
 from .convex import owner_above, read_shapes, request
@@ -70,8 +70,7 @@ def self_collision(
     never nearer than 1 cm. `progress` is called with the number of samples done. Raises ModelError for fewer than two
     links with shapes, InvalidOption for less than one sample.
     """
-    if samples < 1:
-        raise InvalidOption(f"samples must be at least 1, not {samples}")
+    samples, seed = whole(samples, "samples"), whole(seed, "seed", 0)
     model, geometry = robot.model, read_shapes(robot)
     owners = [model.frames[shape.parentFrame].name for shape in geometry.geometryObjects]
     links = tuple(dict.fromkeys(owners))

@@ -171,7 +171,7 @@ def solve_batch(
     Args:
         robot: The Robot, or a Tree of F tips.
         targets: Poses (N, 4, 4) or positions (N, 3) [m] in the base frame, a list of poses, or an iterator of arrays of
-            these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip, where a tip that is left out is free.
+            these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip (or a list of N), where a tip left out is free.
         solver: Name of a solver, a solver class or an instance of one.
         q0: Start (n,) for all targets (in any form that `solve` takes), or (N, n) or a list of N, one for each; None: home and
             precomputed starts [rad or m].

@@ -1,6 +1,6 @@
 """Reads the targets of a batch part by part, in any form: arrays, dicts by tip, lists, iterators."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,8 +70,10 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
+    if isinstance(targets, list | tuple) and targets and all(map(is_by_name, targets)):
+        targets = _columns(robot, targets)
     if is_by_name(targets):
-        columns = dict(targets)
+        columns = robot.each_tip(targets)
     elif not isinstance(targets, list | tuple) or not targets:
         return targets, options
     elif not robot.by_tip:
@@ -87,6 +89,19 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
     made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
     return robot.for_tips(made), {**options, "free_turn": robot.for_tips(axes)}
+
+
+def _columns(robot: Any, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return dicts by tip, one for each target, as one dict of lists. Raises FrameNotFound, InvalidTarget if their tips differ."""
+    rows = [{tip: one for tip, one in row.items() if one is not None} for row in rows]
+    for k, row in enumerate(rows):
+        robot.check_tips(row)
+        if row.keys() != rows[0].keys():
+            tips, first = (", ".join(one) or "no tip" for one in (row, rows[0]))
+            raise InvalidTarget(
+                f"target {k} is of {tips} and target 0 of {first}; in a batch they are of the same tips"
+            )
+    return {tip: [row[tip] for row in rows] for tip in rows[0]}
 
 
 def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
@@ -109,7 +124,7 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 def known(targets: Any, base: str = "") -> Any:
     """Return targets, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator."""
-    if isinstance(targets, str | bytes):
+    if isinstance(targets, str | bytes | set | frozenset):  # a set has no order
         raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
@@ -120,6 +135,8 @@ def known(targets: Any, base: str = "") -> Any:
     if read_pose(targets) is not None:
         raise InvalidTarget(f"targets must be many, and this is one ROS message; give a list of them, {STACKED}")
     if isinstance(targets, Mapping):
+        if not is_by_name(targets):
+            as_array(targets)  # raises InvalidTarget, which says how a pose is a dict
         return {
             tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None
         }
@@ -130,7 +147,7 @@ def known(targets: Any, base: str = "") -> Any:
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
-        raise InvalidTarget(f"targets must be {STACKED}") from None
+        raise InvalidTarget(f"targets must be {STACKED}, either poses or positions") from None
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
@@ -195,7 +212,14 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     tips, F = robot.tips, len(robot.tips)
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
-            raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
+            hint = (
+                "; a row with a position and a quaternion is ik.pose(xyz=, quat_xyzw=)"
+                if array.shape[-1:] == (7,)
+                else ""
+            )
+            raise InvalidTarget(
+                f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}{hint}"
+            )
         return Block((array,), robot.pose_shape)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
