@@ -38,7 +38,7 @@ class TuneOptions:
     held_out: int = option("N", "Number of held-out sets of 1000 targets that evaluate the result.", default=10)
     generations: int = option("N", "Maximum number of generations.", default=200)
     population: int | None = option("N", "Candidates per generation; default: by problem size.")
-    seconds: float | None = option("S", "Stop the search after this time.")
+    seconds: float | None = option("S", "Time after which no further generation begins.")
     seed: int = option("N", "Seed of the search and of the targets.", default=0, panel="Solver")
     tolerance: float = same(WorkspaceOptions, "tolerance")
     max_iterations: int = option("N", "Maximum iterations per solve.", default=1000, panel="Solver")

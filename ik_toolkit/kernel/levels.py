@@ -34,7 +34,7 @@ class LevelSteps(NamedTuple):
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
-    pivot: float = 1e-4
+    pivot: float = 1e-5
     # smallest curvature that a level acts on, where a joint may still change the error by micrometres; flatter directions are left
     # to the next level
     flat: float = 1e-6

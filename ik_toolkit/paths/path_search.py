@@ -105,8 +105,8 @@ class Search:
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, threads, seed)
-        # For each anchor how far [m] it is proven out of reach (0: no solution found, but not proven; NaN: solved).
-        self.anchored: dict[int, float] = {}
+        # For each anchor without solutions how far [m] it is proven out of reach, 0 if it is not; None for the others.
+        self.anchored: dict[int, float | None] = {}
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
@@ -138,7 +138,7 @@ class Search:
                     Q0[0] = q * p.unit
             Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
             found, beyond = p.solutions(t, Q0)
-        self.anchored[t] = np.nan if len(found) else beyond
+        self.anchored[t] = None if len(found) else beyond
         if not len(found):
             return 0
         if not p.redundant:
@@ -386,14 +386,14 @@ class Search:
             place = self.problem.at[t]
             if place != round(place):  # Inserted poses are not reported.
                 continue
-            beyond, reason = self.anchored.get(int(t), -1.0), "no solution found"
-            if beyond < 0.0:
+            beyond, reason, proven = self.anchored.get(int(t), 0.0), "no solution found", False
+            if t not in self.anchored:
                 reason = "not yet solved"
-            elif np.isnan(beyond):
+            elif beyond is None:
                 reason = f"no room for its solutions, because a search follows at most {MOST}"
             elif beyond > 0.0:
-                reason = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)"
+                reason, proven = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)", True
             elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
-                reason, beyond = "every solution violates a joint limit, or none exists", np.inf
-            said.append(Unreachable(int(place), reason, beyond > 0.0))
+                reason, proven = "every solution violates a joint limit, or none exists", True
+            said.append(Unreachable(int(place), reason, proven))
         return said

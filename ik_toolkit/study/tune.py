@@ -211,7 +211,7 @@ def tune(
         held_out: Number of sets of 1000 fresh targets for the final score.
         generations: Highest number of generations.
         population: Number of candidates in a generation. Default: by the number of parameters.
-        seconds: Time after which the search stops [s].
+        seconds: Time [s] after which no further generation begins.
         seed: Seed of the search and of all targets.
         tolerance: Tolerance of a solve [m and rad].
         max_iterations: Highest number of iterations of a solve.

@@ -85,7 +85,7 @@ def first_order(robot: ik.Robot, q: np.ndarray, T: np.ndarray, first: str) -> fl
     held = np.zeros(robot.n, bool)
     for _ in range(2 * robot.n):
         free = ~held
-        lam = np.linalg.lstsq(A[free], -g[free], rcond=1e-4)[0]
+        lam = np.linalg.lstsq(A[free], -g[free], rcond=1e-5)[0]
         z = g + A @ lam
         wrong = (low & (z > 0)) | (high & (z < 0))
         if (wrong == held).all():
