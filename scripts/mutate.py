@@ -49,12 +49,14 @@ TESTS = tuple(
         "kernel": ("test_kernel", "test_qp", "test_constrain", "test_damped_step", "test_search", "test_view"),
         "solvers": (
             "test_solve", "test_tree", "test_tree_preferences", "test_follow", "test_limits", "test_budget", "test_what_counts",
-            "test_preferences", "test_others",
+            "test_preferences", "test_others", "test_priority", "test_elimination", "test_decomposition", "test_local_minimum",
+            "test_proofs", "test_derivative", "test_free_turns", "test_self_motion", "test_starts", "test_inside_limits",
+            "test_one_tip_only", "test_held_joints", "test_recognition", "test_solutions",
         ),
         "servo": (
             "test_accuracy", "test_jacobian_rate", "test_loop", "test_motion_limits", "test_servo", "test_status",
         ),
-        "paths": ("test_link", "test_refine", "test_continuity"),
+        "paths": ("test_link", "test_refine", "test_continuity", "test_few_joints"),
     }.items()
     for name in names
 )  # fmt: skip
@@ -159,7 +161,7 @@ class Run:
         self.files = {name: stamp(ROOT / name.split("::")[0]) for name in self.items}
         for file in changing.files():
             text_of(file)  # read before forking
-        for file in self.stamps if self.given.rooms else ():  # some are loaded when first needed
+        for file in self.stamps:  # some are loaded when first needed
             if file not in changing.scripts() and not file.endswith("__init__.py"):
                 importlib.import_module("ik_toolkit." + file[:-3].replace("/", "."))
         gc.unfreeze()  # what is frozen is not found
