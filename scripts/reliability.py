@@ -70,7 +70,7 @@ def mutation(file: Path) -> list[str]:
     """Lines on the last mutation run of the kernel or of the rooms, from the figures of scripts/mutate.py."""
     found = json.loads(file.read_text(encoding="utf-8"))
     low, high = found["95 %"]
-    lost = sum(row["not reached"] for row in found["files"].values())
+    lost = sum(row["not reached"] for row in found["folders"].values())
     of = (
         "All of them were tried"
         if found["tried"] == found["mutants in all"]
@@ -87,7 +87,7 @@ def mutation(file: Path) -> list[str]:
         "the kernel",
         "code for vectors of eight lanes, and code that runs only in numba",
         "the tests that reach it and take less than a second uncompiled",
-        "file",
+        "folder",
     )
     if not kernel:
         what += ", statement, element or keyword"
@@ -105,7 +105,7 @@ def mutation(file: Path) -> list[str]:
         f"| {first} | mutants | killed | not reached |",
         "|---|---:|---:|---:|",
     ]
-    for part, row in found["files"].items():
+    for part, row in found["folders"].items():
         lines.append(f"| `{part}` | {row['mutants']} | {row['killed']} | {row['not reached']} |")
     return [*lines, ""]
 
