@@ -53,9 +53,7 @@ TESTS = tuple(
             "test_proofs", "test_derivative", "test_free_turns", "test_self_motion", "test_starts", "test_inside_limits",
             "test_one_tip_only", "test_held_joints", "test_recognition", "test_solutions",
         ),
-        "servo": (
-            "test_accuracy", "test_jacobian_rate", "test_loop", "test_motion_limits", "test_servo", "test_status",
-        ),
+        "servo": ("test_accuracy", "test_jacobian_rate", "test_loop", "test_motion_limits", "test_servo", "test_status"),
         "paths": ("test_link", "test_refine", "test_continuity", "test_few_joints"),
     }.items()
     for name in names

@@ -1,4 +1,4 @@
-"""Vectors, matrices and small solves of the kernel against numpy."""
+"""Rotations, orthogonal columns and linear systems of the kernel against numpy."""
 
 import math
 

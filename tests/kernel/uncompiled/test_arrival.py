@@ -1,4 +1,4 @@
-"""Targets of a control loop as the kernel takes them, and the blocks in which a tracker's numbers cross to it."""
+"""Targets of a control loop: the twist between them, and whether they stand."""
 
 import numpy as np
 import pinocchio as pin

@@ -1,4 +1,4 @@
-"""The arrays of a chain: forward kinematics, reach, starts, full turns."""
+"""The arrays of a chain: reach, full turns, the table of starts."""
 
 import math
 

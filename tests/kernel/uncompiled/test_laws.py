@@ -1,4 +1,4 @@
-"""The published laws, pseudo-inverses, wishes and the clock of a tracker, against numpy."""
+"""Damping near singular poses, and slow joints that are spared, against numpy."""
 
 import numpy as np
 import pytest

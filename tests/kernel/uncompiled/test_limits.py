@@ -1,4 +1,4 @@
-"""Limits, full turns, allowed steps, and why an attempt stalls."""
+"""Limits, full turns, the reach of the wrist, random numbers and the table of starts."""
 
 import math
 
@@ -7,6 +7,8 @@ import pytest
 
 from ik_toolkit.kernel import checks, limits, starts
 from ik_toolkit.kernel.records import POINTS, WHAT, Ends, Task
+
+TAU = 2.0 * math.pi
 
 
 def ends_of(lower, upper, turns, unit=None, bounds=(1.0, 0.0, 1.0, 0.0, 0.0, 0.0), scale=1.0, tool=(0.0, 0.0, 0.0)):
@@ -100,3 +102,21 @@ def test_the_nearest_entries_of_a_table():
         assert sorted(best) == sorted(groups.values())
         assert np.all(np.diff(want[best]) >= -1e-6)
         np.testing.assert_allclose(val, want[best], atol=1e-5)
+
+
+def test_turns_of_an_answer():
+    ends = ends_of([-7.0, -31.0, -7.0, -1.0], [7.0, 31.0, 7.0, 1.0], [1.0, 2.0, 1.0, 0.0])
+    assert limits.turn(6.0, 0.0, ends, 0) == 1.0 and limits.turn(13.0, 0.0, ends, 0) == 1.0
+    assert limits.turn(-13.0, 0.0, ends, 0) == -1.0 and limits.turn(13.0, 0.0, ends, 1) == 2.0
+    assert limits.turn(3.0, 0.0, ends, 0) == 0.0 and limits.turn(3.3, 6.5, ends, 0) == 0.0
+    q = np.array([0.1, 0.2, 6.5, 0.5])
+    assert limits.face(q, np.array([6.0, -12.0, 0.0, 9.0]), ends)
+    np.testing.assert_allclose(q, [0.1 + TAU, 0.2 - 2 * TAU, 6.5 - TAU, 0.5], atol=1e-14)
+    assert not limits.face(q, np.array([6.0, -12.0, 0.0, 9.0]), ends)
+    edge = ends_of([-TAU], [1.0], [1.0])
+    q = np.array([0.0])
+    assert limits.face(q, np.array([-7.0]), edge) and q[0] == -TAU
+    a, b, w = np.array([0.1, 0.2, 6.5, 0.5]), np.array([6.0, -12.0, 0.0, 0.1]), np.array([1.0, 2.0, 0.0, 4.0])
+    parts = np.array([0.1 + TAU - 6.0, 0.2 - 2 * TAU + 12.0, 6.5 - TAU, 0.4])
+    want = (parts**2 / np.array([1.0, 2.0, 1e-12, 4.0])).sum()
+    assert limits.distance(a, b, w, ends) == pytest.approx(want, rel=1e-12)

@@ -1,10 +1,14 @@
 """Tasks, and problems of one tip, against matrices and finite differences."""
 
+import math
+
 import numpy as np
+import pinocchio as pin
 import pytest
 import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
+from ik_toolkit.kernel import counted_error as tasks
 from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import Ends
 from ik_toolkit.kernel.serial import make_serial
@@ -84,3 +88,67 @@ def test_targets_out_of_reach_and_no_poses():
     position.jacobian(look)
     position.bending(look, a, b, x[:6] if len(x) >= 6 else out)
     assert not (x[:6] if len(x) >= 6 else out)[3:].any()
+
+
+def test_what_a_task_allows_and_counts():
+    t = task(KIND.part, w0=0.5, w1=2.0, s0=3.0, s1=4.0, w3=0.0)
+    assert tasks.allowance(t, 0, 0.1) == pytest.approx(5.2) and tasks.allowance(t, 3, 0.1) == np.inf
+    assert tasks.allowance(task(KIND.part, w5=4.0, s3=1.0), 3, 0.1) == pytest.approx(1.1)
+    for values, want in (
+        ({}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0, "w2": 0.0}, (0.0, 1.0)),
+        ({"free": 1.0}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0, "s5": math.pi}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0}, (1.0, 1.0)),
+        ({"s0": np.inf, "s1": np.inf, "s2": np.inf}, (0.0, 1.0)), ({"w3": 0.0, "w4": 0.0, "w5": 0.0}, (1.0, 0.0)),
+    ):  # fmt: skip
+        assert tasks.counts(task(KIND.part, **values)) == want
+    for size in (1e-3, 0.99e-2, 1.01e-2, 0.5, 2.0, 3.1):
+        r = size * np.array([0.6, 0.0, 0.8])
+        K = pin.skew(r)
+        want = np.linalg.inv(pin.Jexp3(r)) - np.eye(3) - 0.5 * K
+        np.testing.assert_allclose(tasks.log_curvature(size * size) * K @ K, want, atol=1e-9)
+    assert tasks.vector_ratio(KIND.part, 0.5) == 1.0 and tasks.vector_ratio(KIND.pose, 0.5) > 1.0
+    assert tasks.angle_left(KIND.part, 0.25) == 0.5 and tasks.angle_left(
+        KIND.pose, 4.0 * math.sin(0.25) ** 2
+    ) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("kind", [KIND.pose, KIND.position])
+@pytest.mark.parametrize("kinds", ["tttstt", "tmtsnt"])
+def test_moves_of_one_joint(kind, kinds):
+    rng = np.random.default_rng(40 + kind)
+    chain, rows, base, tip = arms.arm(rng, kinds)
+    p = make_serial(chain.rows, chain.ends, task(kind), chain.n, orders())
+    for _ in range(5):
+        q, goal = (rng.uniform(chain.lower, chain.upper) for _ in range(2))
+        T = arms.fk(rows, base, tip, goal)[0]
+        p.aim(T, orders())
+        look = p.try_out(q / chain.unit)
+        for i in range(chain.n):
+            move = p.best_move(look, i, 1e-12)
+            p.jacobian(look)
+            p.stack(look)
+            if kind == KIND.position and kinds == "tttstt" and rows[i, 9]:  # the best turn of all
+                far = []
+                for angle in move + np.append(0.0, np.linspace(0.01, 6.27, 12)):
+                    y = q.copy()
+                    y[i] += angle
+                    far.append(np.linalg.norm(arms.fk(rows, base, tip, y)[0][:3, 3] - T[:3, 3]))
+                assert min(far) == far[0]
+            else:
+                assert move == pytest.approx(p.desk.J[i] @ p.desk.y / (p.desk.J[i] @ p.desk.J[i]), rel=1e-9)
+            assert p.best_move(look, i, 1e9) == 0.0
+    assert p.desk.spent[0] == 5.0
+    p.undo(look)
+    assert p.desk.spent[0] == 5.0
+    box = Ends(chain.ends, chain.n)
+    assert p.inside(0, 99.0) == box.upper(0) and p.inside(0, -99.0) == box.lower(0) and p.inside(0, 0.1) == 0.1
+    loose = make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0))
+    assert loose.inside(0, 99.0) == 99.0
+    assert make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0, follow=0.1)).inside(0, 99.0) < 99.0
+    part = make_serial(chain.rows, chain.ends, task(KIND.part), chain.n, orders())
+    part.aim(np.eye(4), orders())
+    part.desk.q[:] = 0.0
+    part.undo(look)
+    assert part.desk.spent[0] == 1.0
+    assert p.desk.affords(1.0) == (5.0 + 1.0 < p.desk.spent[1])
+    p.desk.spent[1] = 7.0
+    assert p.desk.affords(1.0) and not p.desk.affords(2.0)

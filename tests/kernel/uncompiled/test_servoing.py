@@ -1,4 +1,4 @@
-"""The parts of a tracker step around its law (start, wishes, clipping), and parts of the constrained step."""
+"""Parts of a tracker step around its law: wishes, curvature, and joints that swing."""
 
 from types import SimpleNamespace
 

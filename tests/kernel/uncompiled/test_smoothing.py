@@ -1,4 +1,4 @@
-"""Secondary objectives and whole paths: measures, their derivatives, bands, intermediate poses, the program over tracks."""
+"""Secondary objectives and whole paths: what they cost, derivatives, and where they end."""
 
 import numpy as np
 import pytest

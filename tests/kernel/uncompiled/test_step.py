@@ -1,11 +1,11 @@
-"""One step of a tracker: a published law, the effect of limits, signs of multipliers."""
+"""One step of a tracker: the effect of limits, signs of multipliers."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import loop
+from ik_toolkit.servo import equality_qp, hierarchical_qp, loop
 from ik_toolkit.servo.constrained_step import CAUTION, MODE, make_room
 from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import BIT
@@ -65,3 +65,32 @@ def test_what_limits_make_of_the_rates_wanted():
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels
+
+
+def test_signs_and_shares_of_multipliers():
+    for one, two, side, want in (
+        (0.5, -9.0, 1, 0.0), (-0.5, 9.0, 1, 1.5), (0.5, 0.0, -1, 1.5), (0.0, 0.3, 1, 0.0), (0.0, -0.3, 1, 0.3), (0.0, 3.0, -1, 1.0),
+        (0.0, -0.9e-11, 1, 0.0), (0.0, -1.1e-11, 1, 1.1e-11), (0.0, 0.0, 1, 0.0),
+    ):  # fmt: skip
+        assert hierarchical_qp.wrong(one, two, side) == pytest.approx(want, rel=1e-12)
+    for now, new, want in (
+        ((1.0, 2.0), (3.0, -9.0), (2.0, 0.0)), ((1.0, 2.0), (-1.0, 4.0), (0.5, (2.0 + 0.5 * 2.0) / 2.0)),
+        ((0.0, 2.0), (0.0, -2.0), (0.5, 0.0)),
+    ):  # fmt: skip
+        assert hierarchical_qp.share(*(equality_qp.Pair(*np.array(one)[:, None]) for one in (now, new)), 0, 1) == want
+    now, new = (equality_qp.Pair(*np.array(one)[:, None]) for one in ((0.0, -2.0), (0.0, 2.0)))
+    assert hierarchical_qp.share(now, new, 0, -1) == (0.5, 0.0)
+    p = equality_qp.program_on(np.zeros(equality_qp.program_space(2, 1)), 2, 1)
+    p = equality_qp.resized(p, 2, 1, 0)
+    p.P[0], p.rhs[0], p.floor[:], p.roof[:] = 1.0, 1.8, -1.0, 1.0
+    for y, want in (((0.5, 1.4), (2, 1)), ((-1.4, 0.5), (1, -1)), ((0.95, 0.95), (0, 1))):
+        p.y[:] = y
+        assert hierarchical_qp.violated(p) == want
+    p.active[0] = 1
+    assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0)
+    p.roof[:], p.y[:] = (1e9, 0.0), (1e4, 3e-12)
+    assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0), "the rounding of a large unknown"
+    p.y[1] = 3e-8
+    assert hierarchical_qp.violated(p) == (2, 1)
+    p.y[:] = 0.5, 3e-12
+    assert hierarchical_qp.violated(p) == (2, 1)
