@@ -1,7 +1,7 @@
 """Run the hostile-input, torture, thread and process tests, including the long ones, and put the figures into docs/reliability.md.
 
-Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves and
-stand between two marks of the page; the rest of it is written by hand.
+Usage: python scripts/reliability.py [-o docs/reliability.md] [--mutants]. Takes some minutes, with --mutants none. The counts come
+from the tests themselves and stand between two marks of the page; the rest of it is written by hand.
 """
 
 import argparse
@@ -110,11 +110,8 @@ def mutation(file: Path) -> list[str]:
     return [*lines, ""]
 
 
-def main() -> None:
-    """Run every part and write its figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
-    output = parser.parse_args().output
+def measured() -> list[str]:
+    """Run every part; returns the lines of its figures."""
     lines = [
         f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
         f"{platform.system()} {platform.machine()}. Each row is one test file or folder, slow tests included; the command is "
@@ -132,12 +129,21 @@ def main() -> None:
         lines.append(f"| {what} | `{path}` | {tests} | {solves} | {failed} | {counts['skipped']} | {seconds:.0f} |")
         remarks += notes
         print(lines[-1], file=sys.stderr)
-    lines += ["", *(f"- {remark}" for remark in remarks), ""]
-    for file in (MUTANTS, MUTANTS_OF_ROOMS):
-        lines += mutation(file) if file.exists() else []
-    before, rest = output.read_text(encoding="utf-8").split(MARKS[0])
-    figures = "\n".join(lines).strip()
-    output.write_text(f"{before}{MARKS[0]}\n\n{figures}\n\n{MARKS[1]}{rest.split(MARKS[1])[1]}", encoding="utf-8")
+    return [*lines, "", *(f"- {remark}" for remark in remarks)]
+
+
+def main() -> None:
+    """Write the figures of every part, and those of the mutation tests."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
+    parser.add_argument("--mutants", action="store_true", help="write the mutation tests only; run nothing")
+    given = parser.parse_args()
+    before, rest = given.output.read_text(encoding="utf-8").split(MARKS[0])
+    old, after = rest.split(MARKS[1])
+    figures = old.partition("## Mutation tests")[0].strip() if given.mutants else "\n".join(measured())
+    tables = [line for file in (MUTANTS, MUTANTS_OF_ROOMS) if file.exists() for line in mutation(file)]
+    text = "\n".join([figures, "", *tables]).strip()
+    given.output.write_text(f"{before}{MARKS[0]}\n\n{text}\n\n{MARKS[1]}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

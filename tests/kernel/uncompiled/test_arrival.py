@@ -83,3 +83,26 @@ def test_whether_a_target_stands():
         and not trembling[-1]["jumped"]
         and trembling[-1]["rest"] == 0.0
     )
+
+
+def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
+    pin.seed(5)
+    rng, samples = np.random.default_rng(5), workspace.new_samples(2, 2)
+    last, now, _ = turned(rng, 2, 0.5)
+    arrived(samples, last, first=1)
+    for r, c in np.ndindex(4, 4):
+        for off in (1e-8, np.nan, np.inf):
+            bad = now.copy()
+            bad[1, r, c] += off
+            if c == 3 and r < 3 and off == 1e-8:
+                continue
+            assert arrived(samples, bad) == (GIVEN.refused if c == 3 and r < 3 else GIVEN.doubtful), (r, c, off)
+    mirrored = now.copy()
+    mirrored[0, :3, 2] *= -1.0
+    assert arrived(samples, mirrored) == GIVEN.doubtful and arrived(samples, mirrored, how=GIVEN.fine) == GIVEN.fine
+    broken = np.array([0.0, 0.0, np.nan, *np.zeros(9)])
+    for what in ({"how": GIVEN.refused}, {"V": broken}, {"A": broken}):
+        assert arrived(samples, now) == GIVEN.fine
+        assert arrived(samples, now, **what) == GIVEN.refused
+        assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
+        assert not samples.V[1].any() and not samples.A[1].any()

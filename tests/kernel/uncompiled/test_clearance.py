@@ -3,8 +3,11 @@
 import math
 
 import numpy as np
+import pinocchio as pin
+import pytest
 
 from ik_toolkit.kernel import clearance
+from ik_toolkit.servo import viability
 
 
 def scene(rng, E=4, S=3, n=5):
@@ -85,3 +88,71 @@ def test_a_slide_is_free_until_it_has_used_up_its_distance():
         assert np.all((near - 1 / 32 <= out) & (out <= near))
         clearance.free_until(parts, clearance.Separation(ks, flat, np.full(3, 9.0)), levers, path, start, out)
         np.testing.assert_array_equal(out, pieces)
+
+
+def test_levers_grow_with_what_later_joints_can_do():
+    rng = np.random.default_rng(0)
+    V, coordinates, middle, radius, a, b, by_a, by_b = parts = scene(rng)
+    way, out, spread = rng.uniform(0.0, 1.0, 5), np.full((3, 4), 9.0), np.full(3, 9.0)
+    clearance.levers(parts, way, out, spread)
+    want, total = np.zeros((3, 4)), np.zeros(3)
+    for p in range(3):
+        for s, moved in ((a[p], by_a[p]), (b[p], by_b[p])):
+            far = 0.0
+            for e in reversed(np.flatnonzero(moved)):
+                turn = np.linalg.norm(V[e, 3:])
+                lever = np.linalg.norm(V[e, :3] + np.cross(V[e, 3:], middle[s])) + turn * (radius[s] + far)
+                far += lever * way[coordinates[e]]
+                want[p, e] += lever
+            total[p] += far
+    np.testing.assert_allclose(out, want, rtol=1e-13)
+    np.testing.assert_allclose(spread, total, rtol=1e-13)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5])
+def test_nothing_comes_closer_than_it_may_where_it_is_called_free(gamma):
+    rng = np.random.default_rng(3)
+    h, late, n = 0.05, 0.05, 3
+    tight = 0
+    for trial in range(12):
+        axes, points = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)) * 0.3
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        V = np.column_stack([-np.cross(axes, points), axes])
+        coordinates = np.arange(n)
+        middle, radius = rng.normal(size=(2, 3)) * 0.5, np.array([0.2, 0.15])
+        limits = np.array([np.full(n, -9.0), np.full(n, 9.0), np.full(n, 2.0), np.full(n, 3.0)])
+        Q, R, L = np.zeros((80, n)), np.zeros((80, n)), np.zeros((80, n))
+        R[0] = rng.uniform(-1.0, 1.0, n)
+        last = viability.brake(0, gamma, h, late, limits, Q, R, L)
+        Q, R, L = Q[: last + 1], R[: last + 1], L[: last + 1]
+        a, b, ks = np.array([0]), np.array([1]), np.array([0])
+        by_a, by_b = np.array([[True, True, False]]), np.array([[False, False, True]])
+        if trial % 3 == 0:
+            by_a, by_b = by_b, by_a
+        out, spread, until = np.empty((1, n)), np.empty(1), np.empty(1)
+        parts = clearance.Bodies(V, coordinates, middle, radius, a, b, by_a, by_b)
+        clearance.levers(parts, L[-1], out, spread)
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        distance = rng.choice([0.02, 0.1, 0.3])
+        pairs = clearance.Separation(ks, normal[None], np.array([distance]))
+        clearance.free_until(parts, pairs, out, clearance.BrakingPath(Q, R, L, gamma, h), 0.0, until)
+        tight += 0.0 < until[0] < last
+        worst = {}
+        for u in np.linspace(0.0, last, 4 * last + 1):
+            q, length = np.empty(n), np.empty(n)
+            clearance.along(Q, R, L, gamma, h, u, q, length)
+            closer = 0.0
+            for s, moved, sign in ((0, by_a[0], 1.0), (1, by_b[0], -1.0)):
+                M = pin.SE3.Identity()
+                for e in np.flatnonzero(moved):
+                    turned = pin.exp3(axes[e] * q[e])
+                    M = M * pin.SE3(turned, points[e] - turned @ points[e])
+                centre = M.act(middle[s]) - middle[s]
+                swing = np.linalg.norm(normal @ M.rotation - normal) * radius[s]  # of the sphere's own points
+                closer += sign * normal @ centre + swing
+            worst[u] = closer
+        assert all(closer < distance for u, closer in worst.items() if u <= until[0])
+        reached = [u for u, closer in worst.items() if closer >= distance]
+        assert not reached or until[0] >= 0.4 * min(reached) - 0.5  # and not far below what is found
+    assert tight > 2

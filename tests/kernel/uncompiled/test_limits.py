@@ -120,3 +120,17 @@ def test_turns_of_an_answer():
     parts = np.array([0.1 + TAU - 6.0, 0.2 - 2 * TAU + 12.0, 6.5 - TAU, 0.4])
     want = (parts**2 / np.array([1.0, 2.0, 1e-12, 4.0])).sum()
     assert limits.distance(a, b, w, ends) == pytest.approx(want, rel=1e-12)
+
+
+def test_which_starts_are_taken():
+    ends = ends_of([-1.0, -1.0], [1.0, 1.0], [0.0, 2.0], [1.0, 1.0])
+    for q, bounded, fine in (
+        ([0.0, 0.0], True, True), ([1.0, 5.0], True, True), ([-1.0, -5.0], True, True), ([1.1, 0.0], True, False),
+        ([-1.1, 0.0], True, False), ([1.1, 0.0], False, True), ([0.0, np.nan], False, False), ([np.inf, 0.0], False, False),
+        ([0.0, 0.9e9], True, True), ([0.0, 1e9], True, False), ([0.0, -1e9], False, False),
+    ):  # fmt: skip
+        assert limits.legal(np.array(q), ends, bounded) == fine
+    scaled = ends_of([-1.0], [1.0], [0.0], [4.0])
+    assert limits.legal(np.array([3.9]), scaled, True) and not limits.legal(np.array([4.1]), scaled, True)
+    assert limits.legal(np.array([0.0]), ends_of([-1.0], [1.0], [1.0]), True)
+    assert not limits.legal(np.array([2.0]), ends_of([-1.0], [1.0], [1.0]), True)

@@ -255,3 +255,11 @@ def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     W[1] = 3e-4 * Q[:, 0]  # nothing is left of it
     singular_step.down_slopes(W, V, np.array([1.0, 6e-3]), np.array([0.0, 50.0]), x, 1.0)
     np.testing.assert_allclose(x, command, atol=1e-12)
+
+
+def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
+    for left, rest in ((1e-4, 0.01), (-9e-4, 0.01), (1.1e-3, 0.01), (1e-4, 0.0)):
+        less = 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else 1.0
+        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less * left, moved=less * 2e-6)[0]
+        found = speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest, moved=2e-6)[0]
+        assert found == pytest.approx(alone, rel=1e-12)
