@@ -49,12 +49,12 @@ TESTS = tuple(
         "kernel": ("test_kernel", "test_qp", "test_constrain", "test_damped_step", "test_search", "test_view"),
         "solvers": (
             "test_solve", "test_tree", "test_tree_preferences", "test_follow", "test_limits", "test_budget", "test_what_counts",
-            "test_preferences", "test_others",
+            "test_preferences", "test_others", "test_priority", "test_elimination", "test_decomposition", "test_local_minimum",
+            "test_proofs", "test_derivative", "test_free_turns", "test_self_motion", "test_starts", "test_inside_limits",
+            "test_one_tip_only", "test_held_joints", "test_recognition", "test_solutions",
         ),
-        "servo": (
-            "test_accuracy", "test_jacobian_rate", "test_loop", "test_motion_limits", "test_servo", "test_status",
-        ),
-        "paths": ("test_link", "test_refine", "test_continuity"),
+        "servo": ("test_accuracy", "test_jacobian_rate", "test_loop", "test_motion_limits", "test_servo", "test_status"),
+        "paths": ("test_link", "test_refine", "test_continuity", "test_few_joints"),
     }.items()
     for name in names
 )  # fmt: skip
@@ -159,7 +159,7 @@ class Run:
         self.files = {name: stamp(ROOT / name.split("::")[0]) for name in self.items}
         for file in changing.files():
             text_of(file)  # read before forking
-        for file in self.stamps if self.given.rooms else ():  # some are loaded when first needed
+        for file in self.stamps:  # some are loaded when first needed
             if file not in changing.scripts() and not file.endswith("__init__.py"):
                 importlib.import_module("ik_toolkit." + file[:-3].replace("/", "."))
         gc.unfreeze()  # what is frozen is not found
@@ -321,7 +321,7 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], everything: int, stamps: dict) -> None:
-    """Write shares by file, and the survivors by name."""
+    """Write shares by folder, and the survivors by name."""
     before = json.loads(given.output.read_text()) if given.output.exists() else {}
     # Judged by hand, by `exact` name: what is equivalent, and what a test kills in the source, though not as planted.
     same, in_source = before.get("equivalent", {}), before.get("killed in the source", {})
@@ -329,7 +329,7 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
     done = {**done, **{m.name: "killed" for m in todo if names[m.name] in in_source}}
     counted = [m for m in todo if names[m.name] not in same]
     rows = {}
-    part = {m: m.file.split("/")[0] if given.rooms else m.file for m in counted}
+    part = {m: m.file.split("/")[0] if given.rooms else m.file.rpartition("/")[0] for m in counted}
     for file in sorted(set(part.values())):
         ends = [done[m.name] for m in counted if part[m] == file]
         rows[file] = {
@@ -346,14 +346,14 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
     result = {
         "command": command, "seed": given.seed, "kernel": kernel, "mutants in all": everything, "tried": len(todo),
         "equivalent in it": len(todo) - total, "counted": total, "killed": dead,
-        "share killed": round(dead / max(total, 1), 4), "95 %": [round(low, 4), round(high, 4)], "files": rows,
+        "share killed": round(dead / max(total, 1), 4), "95 %": [round(low, 4), round(high, 4)], "folders": rows,
         "survivors": sorted(f"{m.name} ({done[m.name]})" for m in counted if done[m.name] not in DEAD),
         "equivalent": same, "killed in the source": in_source,
     }  # fmt: skip
     given.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     for mutant in (m for m in counted if given.rooms and done[m.name] not in DEAD):
         print(f"\n{mutant.name} ({done[mutant.name]})\n{names[mutant.name]}\n{diff(mutant)}")
-    print(json.dumps({k: result[k] for k in ("tried", "share killed", "95 %", "files")}, indent=1))
+    print(json.dumps({k: result[k] for k in ("tried", "share killed", "95 %", "folders")}, indent=1))
 
 
 def exact(files: set[str]) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Run the hostile-input, torture, thread and process tests, including the long ones, and put the figures into docs/reliability.md.
 
-Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves and
-stand between two marks of the page; the rest of it is written by hand.
+Usage: python scripts/reliability.py [-o docs/reliability.md] [--mutants]. Takes some minutes, with --mutants none. The counts come
+from the tests themselves and stand between two marks of the page; the rest of it is written by hand.
 """
 
 import argparse
@@ -70,7 +70,7 @@ def mutation(file: Path) -> list[str]:
     """Lines on the last mutation run of the kernel or of the rooms, from the figures of scripts/mutate.py."""
     found = json.loads(file.read_text(encoding="utf-8"))
     low, high = found["95 %"]
-    lost = sum(row["not reached"] for row in found["files"].values())
+    lost = sum(row["not reached"] for row in found["folders"].values())
     of = (
         "All of them were tried"
         if found["tried"] == found["mutants in all"]
@@ -87,7 +87,7 @@ def mutation(file: Path) -> list[str]:
         "the kernel",
         "code for vectors of eight lanes, and code that runs only in numba",
         "the tests that reach it and take less than a second uncompiled",
-        "file",
+        "folder",
     )
     if not kernel:
         what += ", statement, element or keyword"
@@ -105,16 +105,13 @@ def mutation(file: Path) -> list[str]:
         f"| {first} | mutants | killed | not reached |",
         "|---|---:|---:|---:|",
     ]
-    for part, row in found["files"].items():
+    for part, row in found["folders"].items():
         lines.append(f"| `{part}` | {row['mutants']} | {row['killed']} | {row['not reached']} |")
     return [*lines, ""]
 
 
-def main() -> None:
-    """Run every part and write its figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
-    output = parser.parse_args().output
+def measured() -> list[str]:
+    """Run every part; returns the lines of its figures."""
     lines = [
         f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
         f"{platform.system()} {platform.machine()}. Each row is one test file or folder, slow tests included; the command is "
@@ -132,12 +129,21 @@ def main() -> None:
         lines.append(f"| {what} | `{path}` | {tests} | {solves} | {failed} | {counts['skipped']} | {seconds:.0f} |")
         remarks += notes
         print(lines[-1], file=sys.stderr)
-    lines += ["", *(f"- {remark}" for remark in remarks), ""]
-    for file in (MUTANTS, MUTANTS_OF_ROOMS):
-        lines += mutation(file) if file.exists() else []
-    before, rest = output.read_text(encoding="utf-8").split(MARKS[0])
-    figures = "\n".join(lines).strip()
-    output.write_text(f"{before}{MARKS[0]}\n\n{figures}\n\n{MARKS[1]}{rest.split(MARKS[1])[1]}", encoding="utf-8")
+    return [*lines, "", *(f"- {remark}" for remark in remarks)]
+
+
+def main() -> None:
+    """Write the figures of every part, and those of the mutation tests."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
+    parser.add_argument("--mutants", action="store_true", help="write the mutation tests only; run nothing")
+    given = parser.parse_args()
+    before, rest = given.output.read_text(encoding="utf-8").split(MARKS[0])
+    old, after = rest.split(MARKS[1])
+    figures = old.partition("## Mutation tests")[0].strip() if given.mutants else "\n".join(measured())
+    tables = [line for file in (MUTANTS, MUTANTS_OF_ROOMS) if file.exists() for line in mutation(file)]
+    text = "\n".join([figures, "", *tables]).strip()
+    given.output.write_text(f"{before}{MARKS[0]}\n\n{text}\n\n{MARKS[1]}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

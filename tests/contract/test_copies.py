@@ -189,7 +189,7 @@ def on_the_way(robot):
 TRACKERS = {
     "cv": {},
     "aad": {"method": "aad", "acceleration_limits": 5.0},
-    "a solver": {"method": "lm"},
+    "a solver": {"method": "dls"},
     "beside the task": {"posture": np.zeros(6), "manipulability": 0.1},
     "a cost": {"cost": np.sum},
     "an obstacle": {"avoid_collisions": on_the_way, "acceleration_limits": 5.0},

@@ -94,11 +94,11 @@ def test_the_budget_of_several_tips_is_never_overrun(brokk):
 
 
 # ------------------------------------------------------------------------------------------------ several tips
-# Compiled for several tips, each rule takes 4 to 7 s: those that are slow here are in uncompiled/test_tips.py as well.
+# Compiled for several tips, each rule takes 4 to 7 s.
 @pytest.mark.parametrize(
     ("rule", "near", "least", "tolerance"),
     [
-        ("dls", 0.3, 10, 1e-6),
+        pytest.param("dls", 0.3, 10, 1e-6, marks=pytest.mark.slow),
         pytest.param("pinv", 0.1, 8, 1e-6, marks=pytest.mark.slow),
         pytest.param("transpose", 0.05, 8, 1e-3, marks=pytest.mark.slow),
         ("ccd", 0.1, 3, 1e-2),

@@ -157,24 +157,15 @@ def test_mistakes_in_the_loop_are_typed(panda):
         Tracker(panda, on_limit="slow")
     with pytest.raises(InvalidOption, match=r"no on_limit 'direct'; 'direct' is for ik\.Tracker\."):
         track(panda, panda_reference(panda, True), on_limit="direct")
-    with pytest.raises(InvalidOption, match=r"has no option 'kapa'.*kappa"):
-        Tracker(panda, "cv", kapa=3.0)
     with pytest.raises(InvalidOption, match="Did you mean 'avoid_limits'"):
         Tracker(panda, avoid_limts=True)
-    with pytest.raises(InvalidOption, match="panda_joint4 must be 1 or -1"):
-        Tracker(panda, elbow={"panda_joint4": [1, 1]})
     for given in ("low", None):
         with pytest.raises(InvalidOption, match="cost must return"):
             Tracker(panda, q0=Q0, cost=lambda q, given=given: given).update(panda.fk(Q0), 0.01)
     with pytest.raises(InvalidTarget, match=r"twist of panda_hand_tcp must have 6 values, or 3, not shape \(4,\)"):
         Tracker(panda, q0=Q0).update(panda.fk(Q0), 0.01, twist={"panda_hand_tcp": np.zeros(4)})
-    with pytest.raises(InvalidOption, match="both kp and kd"):
-        track(panda, panda_reference(panda, True, 1.0), "ca", kp=3.0)
-    for option in ({"reading": 4}, {"null_damping": -1.0}, {"damping": float("nan")}):
-        with pytest.raises(InvalidOption):
-            make_method("aa", **option)
-    with pytest.raises(InvalidOption, match="longer than the reference"):
-        track(panda, panda_reference(panda, True, 1.0), dt=2.0)
+    with pytest.raises(InvalidOption):
+        make_method("aa", damping=float("nan"))
 
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])

@@ -9,7 +9,7 @@ from references import MIMIC, Q0, panda_reference
 from robots import have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+from ik_toolkit.errors import InvalidOption
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.servo import viability
 from ik_toolkit.servo.motion_limits import LIMIT_NAMES, changed_limits, limit_rows
@@ -174,8 +174,6 @@ def test_limit_options_are_checked(panda):
         track(panda, ref, acceleration_limits=[1.0, 2.0])
     with pytest.raises(InvalidOption, match="positive"):
         track(panda, ref, acceleration_limits=-1.0)
-    with pytest.raises(InvalidConfiguration, match="panda_joint4"):
-        track(panda, ref, q0=[0, 0, 0, 3.0, 0, 1, 0])
 
 
 def test_limits_are_in_the_units_of_the_loop_and_change_only_where_they_are_given():

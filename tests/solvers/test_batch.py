@@ -167,8 +167,6 @@ def test_options_that_do_not_fit_are_refused():
     for options, words in (
         ({"threads": 0}, "threads"),
         ({"threads": 1.5}, "threads"),
-        ({"check": 2}, "fraction"),
-        ({"history": True}, "history"),
         ({"tolerence": 1}, "tolerance"),
         ({"chain": True, "executor": concurrent.futures.ThreadPoolExecutor()}, "solve_path"),
     ):
@@ -340,12 +338,6 @@ def test_an_iterator_is_not_read_far_ahead():
     assert len(read) <= AHEAD + 1
     parts.close()
     assert len(read) <= AHEAD + 1
-
-
-def test_a_chain_is_a_path_now():
-    robot = load("planar_2r")
-    with pytest.raises(InvalidOption, match="solve_path"):
-        ik.solve_batch(robot, np.ones((3, 3)), chain=True)
 
 
 # ------------------------------------------------------------------------------------------------------------- executors

@@ -9,7 +9,9 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
+from ik_toolkit.kernel.elimination import binding
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
+from ik_toolkit.kernel.elimination.decomposition import splits_of
 from ik_toolkit.kernel.elimination.terms import VERDICT
 
 ARMS = ["hydrolek_7w", "continuous_mix", "locked", *(["ur5", "z1", "kinova"] if robots.have_data() else [])]
@@ -96,6 +98,16 @@ def fold(robot, q, joint):
 
 
 # ----------------------------------------------------------------------------------------------------- solutions and verdicts
+@pytest.mark.parametrize("kind", ["general", "offset wrist", "parallel shoulder", "wrist"])
+def test_the_first_decomposition_or_an_ordering_tried_once_lists_what_was_planted(kind, monkeypatch):
+    """Not the best of all on twelve poses, so that it is quick uncompiled, as scripts/mutate.py needs it."""
+    monkeypatch.setattr(binding, "CHOICE", binding.CHOICE._replace(poses=1))
+    arm, Q = arm_of(kind, 2), np.random.default_rng(1).uniform(-np.pi, np.pi, (3, 6))
+    splits = [*splits_of(arm)]
+    lists, verdicts = ask(arm, Q, np.array(splits[:1]) if splits else make_forms(arm))
+    assert not lost(lists, Q, 1e-6).any() and (verdicts == VERDICT.certain).all()
+
+
 @pytest.mark.parametrize(("kind", "most_open"), [
     ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8), ("offset wrist", 1),
 ])  # fmt: skip

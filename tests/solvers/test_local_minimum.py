@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from constrained import many
 
 import ik_toolkit as ik
 
@@ -24,7 +25,7 @@ def slope(robot, q, T):
 def test_no_joint_is_held_at_a_limit_that_it_ought_to_leave(name):
     """A step may push a joint against its limit although the error falls away from it; held there, the descent ended early."""
     robot, rng, seen = robots.load(name), np.random.default_rng(5), 0
-    for k, T in enumerate(robots.sample(robot, 40, seed=5)[1]):
+    for k, T in enumerate(robots.sample(robot, many(40), seed=5)[1]):
         T = T.copy()
         T[:3, 3] += rng.normal(0.0, 0.2 * robot.reach, 3)
         T[:3, :3] = pin.exp3(rng.normal(0.0, 1.0, 3)) @ T[:3, :3]
@@ -32,16 +33,16 @@ def test_no_joint_is_held_at_a_limit_that_it_ought_to_leave(name):
         if result.status.name in ("STALLED", "LIMIT_BLOCKED", "UNREACHABLE"):
             seen += 1
             assert slope(robot, result.q, T).max() < 1e-4, (k, result)
-    assert seen > 20
+    assert seen >= many(21)
 
 
 def test_a_closed_form_s_failure_is_a_minimum_however_the_search_after_it_ended():
     robot, rng, seen = robots.load("inspection_7dof"), np.random.default_rng(7), 0
-    for T in robots.sample(robot, 60, seed=7)[1]:
+    for T in robots.sample(robot, many(60), seed=7)[1]:
         T = T.copy()
         T[:3, 3] += rng.normal(0.0, 0.15 * robot.reach, 3)
         result = ik.solve(robot, T, restarts=0)
         if result.status.name in ("STALLED", "LIMIT_BLOCKED", "UNREACHABLE"):
             seen += 1
             assert slope(robot, result.q, T).max() < 1e-4, result
-    assert seen > 20
+    assert seen >= many(21)

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import serial_arms
+from constrained import many
 from robots import few_joints, have_data, urdf
 
 import ik_toolkit as ik
@@ -74,7 +75,7 @@ def test_a_position_in_a_corner_of_the_limits_is_met_and_blames_no_limit(slides)
 def test_first_level_in_tolerance_and_second_at_a_minimum(make, first):
     robot, rng = make(), np.random.default_rng(3)
     solver, reached = ik.Solver(robot, priority=first), 0
-    for _ in range(40):
+    for _ in range(many(40)):
         T = turned(robot, rng, 0.6)
         result = solver(T)
         if result.success:
@@ -82,7 +83,7 @@ def test_first_level_in_tolerance_and_second_at_a_minimum(make, first):
             assert np.linalg.norm(errors(robot, result.q, T)[FIRST[first][0]]) <= 1e-6 * max(1.0, 1.0 / robot.reach)
             assert steepest(robot, result.q, T, first) < 1e-5
             assert (result.q >= robot.lower).all() and (result.q <= robot.upper).all()
-    assert reached == 40 or first == "orientation"
+    assert reached == many(40) or first == "orientation"
 
 
 def test_no_single_attempt_finds_better_than_the_search():

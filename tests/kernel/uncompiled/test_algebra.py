@@ -1,4 +1,4 @@
-"""Vectors, matrices and small solves of the kernel against numpy."""
+"""Rotations, orthogonal columns and linear systems of the kernel against numpy."""
 
 import math
 
@@ -7,64 +7,11 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.kernel import algebra, kinematics, linalg
-from ik_toolkit.kernel.algebra import M3, V3, Blocks, Sym3
+from ik_toolkit.kernel.algebra import M3, V3
 
 
 def m3(A):
     return M3(*(V3(*A[:, k]) for k in range(3)))
-
-
-def matrix(m):
-    return np.column_stack([m.x, m.y, m.z])
-
-
-def symmetric(s):
-    return np.array([[s.xx, s.xy, s.xz], [s.xy, s.yy, s.yz], [s.xz, s.yz, s.zz]])
-
-
-def test_vectors_and_matrices():
-    rng = np.random.default_rng(0)
-    a, b, A, S = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
-    S = S @ S.T + np.eye(3)
-    u, v, s = V3(*a), V3(*b), Sym3(S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2])
-    for one, other in (
-        (u + v, a + b), (u - v, a - b), (-u, -a), (u * 3.0, 3.0 * a), (u.dot(v), a @ b), (u.cross(v), np.cross(a, b)),
-        (u.square(), a @ a), (m3(A).times(u), A @ a), (m3(A).across(u), A.T @ a), (s.times(u), S @ a),
-        (s.determinant(), np.linalg.det(S)), (symmetric(s.plus(u, u * 2.0)), S + 2.0 * np.outer(a, a)),
-    ):  # fmt: skip
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
-    f = s.factors()
-    np.testing.assert_allclose(f.back(f.scaled(f.forward(u))), np.linalg.solve(S, a), rtol=1e-10)
-    L = np.array([[1.0, 0.0, 0.0], [f.l10, 1.0, 0.0], [f.l20, f.l21, 1.0]])
-    np.testing.assert_allclose(L @ np.diag(1.0 / np.array(f.pivots)) @ L.T, S, rtol=1e-12)
-
-
-def test_blocks_of_a_damped_step():
-    rng = np.random.default_rng(1)
-    J, w, e = rng.normal(size=(5, 6)), rng.uniform(0.2, 2.0, 5), rng.normal(size=6)
-    full, blocks = 0.3 * np.eye(6), algebra.diagonal(0.3)
-    for i in range(5):
-        u, v = V3(*J[i, :3]), V3(*J[i, 3:])
-        blocks = blocks.with_column(u * w[i], v * w[i], u, v)
-        full += w[i] * np.outer(J[i], J[i])
-    np.testing.assert_allclose(symmetric(blocks.P), full[:3, :3])
-    np.testing.assert_allclose(matrix(blocks.Q), full[3:, :3])
-    np.testing.assert_allclose(symmetric(blocks.S), full[3:, 3:])
-    assert isinstance(blocks, Blocks)
-    np.testing.assert_allclose(
-        np.concatenate(blocks.solve(V3(*e[:3]), V3(*e[3:]))), np.linalg.solve(full, e), rtol=1e-10
-    )
-
-
-def test_places_in_memory():
-    A = np.arange(20.0)
-    assert algebra.at3(A, 2) == (2.0, 3.0, 4.0)
-    m = algebra.rotation_at(A, 4)
-    np.testing.assert_array_equal(matrix(m), A[4:13].reshape(3, 3))
-    out = np.zeros(20)
-    algebra.put_axes(out, 5, m)
-    algebra.put3(out, 1, V3(7.0, 8.0, 9.0))
-    np.testing.assert_array_equal(out, [0, 7, 8, 9, 0, *A[4:13], 0, 0, 0, 0, 0, 0])
 
 
 def test_rotations_left_and_their_measures():
@@ -107,48 +54,6 @@ def test_half_turns_about_every_axis():
             np.testing.assert_allclose(e, 2.0 * side * axis, atol=1e-8)
 
 
-@pytest.mark.parametrize("n", [1, 3, 6, 8])
-def test_damped_steps(n):
-    rng = np.random.default_rng(n)
-    J, w, e = rng.normal(size=(n, 6)), rng.uniform(0.1, 3.0, n), rng.normal(size=6)
-    w[rng.random(n) < 0.3] = 0.0
-    for damping in (1e-6, 0.1):
-        dq = np.empty(n)
-        linalg.damped(J, w, dq, V3(*e[:3]), V3(*e[3:]), damping)
-        want = w * (J @ np.linalg.solve(J.T * w @ J + damping * np.eye(6), e))
-        np.testing.assert_allclose(dq, want, rtol=1e-6, atol=1e-8)
-
-
-def test_damped_steps_of_several_tips():
-    rng = np.random.default_rng(5)
-    n, F = 7, 3
-    J, w, e = rng.normal(size=(n, 6 * F)), rng.uniform(0.1, 3.0, n), rng.normal(size=6 * F)
-    moves = (rng.random((F, n)) < 0.7).astype(float)
-    moves[1] = 0.0
-    J *= np.repeat(moves, 6, axis=0).T
-    w[2] = 0.0
-    dq, A, y = np.empty(n), np.full((18, 18), 9.0), np.empty(18)
-    linalg.damped_stack(J, moves, w, dq, e, 0.05, A, y)
-    np.testing.assert_allclose(dq, w * (J @ np.linalg.solve(J.T * w @ J + 0.05 * np.eye(18), e)), rtol=1e-9, atol=1e-12)
-
-
-def test_cholesky_of_a_part_and_with_lifted_pivots():
-    rng = np.random.default_rng(6)
-    B = rng.normal(size=(6, 6))
-    S = B @ B.T
-    A, y = S.copy(), rng.normal(size=6)
-    x = y.copy()
-    linalg.cholesky(A, 5, 0.0)
-    L = np.linalg.cholesky(S[:5, :5])
-    np.testing.assert_allclose(np.tril(A[:5, :5]), L + np.diag(1.0 / np.diag(L) - np.diag(L)), rtol=1e-10)
-    np.testing.assert_array_equal(A[5], S[5])
-    linalg.cholesky_solve(A, 5, x)
-    np.testing.assert_allclose(x, [*np.linalg.solve(S[:5, :5], y[:5]), y[5]], rtol=1e-8)
-    A = np.diag([4.0, 0.0, 9.0])
-    linalg.cholesky(A, 3, 1e-8)
-    np.testing.assert_allclose(np.diag(A), [1.0 / 2.0, 1e4, 1.0 / 3.0], rtol=1e-14)
-
-
 def test_columns_made_orthogonal():
     rng = np.random.default_rng(7)
     for A in (rng.normal(size=(7, 6)), rng.normal(size=(4, 6)), np.ones((5, 3)), np.diag([3.0, 2.0, 1.0])):
@@ -185,26 +90,6 @@ def test_columns_of_rounding_end_the_turning(turns):
     np.testing.assert_allclose(
         np.sort(np.linalg.norm(B, axis=0)), np.linalg.svd(A, compute_uv=False)[::-1], atol=1e-14 * np.linalg.norm(A)
     )
-
-
-def test_pseudo_inverses_leave_out_small_values():
-    rng = np.random.default_rng(8)
-    U, _ = np.linalg.qr(rng.normal(size=(7, 6)))
-    V, _ = np.linalg.qr(rng.normal(size=(6, 6)))
-    e = rng.normal(size=6)
-    values = np.array([3.0, 2.0, 1.0, 0.5, 1e-2, 1e-5])
-    J = U * values @ V.T
-    for rcond, keep in ((1e-9, 6), (1e-4, 5), (1e-2, 4), (0.3, 3)):
-        dq, A = np.empty(7), J.copy()
-        linalg.pseudo_inverse_step(A, e, rcond, np.empty((6, 6)), dq, 6)
-        np.testing.assert_allclose(dq, U[:, :keep] / values[:keep] @ V[:, :keep].T @ e, rtol=1e-9, atol=1e-9)
-    for n, rank in ((2, 1), (3, 2), (7, 2), (12, 6)):
-        J, dq = rng.normal(size=(n, rank)) @ rng.normal(size=(rank, 6)), np.empty(n)
-        linalg.pseudo_inverse_step(J.copy(), e, 1e-9, np.empty((6, 6)), dq, 6)
-        np.testing.assert_allclose(dq, np.linalg.pinv(J.T, rcond=1e-9) @ e, atol=1e-9 * max(1.0, np.abs(dq).max()))
-    dq = np.ones(2)
-    linalg.pseudo_inverse_step(np.zeros((2, 6)), e, 1e-9, np.empty((6, 6)), dq, 6)
-    np.testing.assert_array_equal(dq, 0.0)
 
 
 def test_linear_systems_with_and_without_an_answer():

@@ -1,4 +1,4 @@
-"""Targets of a control loop as the kernel takes them, and the blocks in which a tracker's numbers cross to it."""
+"""Targets of a control loop: the twist between them, and whether they stand."""
 
 import numpy as np
 import pinocchio as pin
@@ -49,42 +49,6 @@ def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
     assert not samples.V[1].any()  # exactly: a target at rest
 
 
-def test_what_is_given_counts_and_a_position_leaves_the_rotation():
-    pin.seed(4)
-    rng, samples = np.random.default_rng(4), workspace.new_samples(2, 1)
-    last, now, _ = turned(rng, 1, 0.5)
-    V, A = rng.normal(size=(2, 6))
-    assert arrived(samples, last, slot=0, first=1, V=V) == GIVEN.fine
-    assert np.array_equal(samples.V[0], V) and not samples.A[0].any()
-    now[0, :3, :3] = np.nan  # of a position there are no other numbers
-    assert arrived(samples, now, posed=0, V=2 * V, A=A) == GIVEN.fine
-    assert np.array_equal(samples.V[1], 2 * V) and np.array_equal(samples.A[1], A)
-    assert np.array_equal(samples.T[1, 0, :3, 3], now[0, :3, 3]) and np.isfinite(samples.T).all()
-
-
-def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
-    pin.seed(5)
-    rng, samples = np.random.default_rng(5), workspace.new_samples(2, 2)
-    last, now, _ = turned(rng, 2, 0.5)
-    arrived(samples, last, first=1)
-    for r, c in np.ndindex(4, 4):
-        for off in (1e-8, np.nan, np.inf):
-            bad = now.copy()
-            bad[1, r, c] += off
-            if c == 3 and r < 3 and off == 1e-8:
-                continue
-            assert arrived(samples, bad) == (GIVEN.refused if c == 3 and r < 3 else GIVEN.doubtful), (r, c, off)
-    mirrored = now.copy()
-    mirrored[0, :3, 2] *= -1.0
-    assert arrived(samples, mirrored) == GIVEN.doubtful and arrived(samples, mirrored, how=GIVEN.fine) == GIVEN.fine
-    broken = np.array([0.0, 0.0, np.nan, *np.zeros(9)])
-    for what in ({"how": GIVEN.refused}, {"V": broken}, {"A": broken}):
-        assert arrived(samples, now) == GIVEN.fine
-        assert arrived(samples, now, **what) == GIVEN.refused
-        assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
-        assert not samples.V[1].any() and not samples.A[1].any()
-
-
 def standing(way, dt=0.01):
     """What is known of a target that moves along x, sample by sample."""
     samples, stand, T, told = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None], []
@@ -121,7 +85,24 @@ def test_whether_a_target_stands():
     )
 
 
-def test_a_target_that_is_refused_or_where_it_begins_is_not_looked_at():
-    samples, stand, T = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None]
-    assert arrived(samples, T, slot=0, first=1, stand=stand) == GIVEN.fine and not stand[STAND.known]
-    assert arrived(samples, np.full_like(T, np.nan), stand=stand) == GIVEN.refused and not stand[STAND.known]
+def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
+    pin.seed(5)
+    rng, samples = np.random.default_rng(5), workspace.new_samples(2, 2)
+    last, now, _ = turned(rng, 2, 0.5)
+    arrived(samples, last, first=1)
+    for r, c in np.ndindex(4, 4):
+        for off in (1e-8, np.nan, np.inf):
+            bad = now.copy()
+            bad[1, r, c] += off
+            if c == 3 and r < 3 and off == 1e-8:
+                continue
+            assert arrived(samples, bad) == (GIVEN.refused if c == 3 and r < 3 else GIVEN.doubtful), (r, c, off)
+    mirrored = now.copy()
+    mirrored[0, :3, 2] *= -1.0
+    assert arrived(samples, mirrored) == GIVEN.doubtful and arrived(samples, mirrored, how=GIVEN.fine) == GIVEN.fine
+    broken = np.array([0.0, 0.0, np.nan, *np.zeros(9)])
+    for what in ({"how": GIVEN.refused}, {"V": broken}, {"A": broken}):
+        assert arrived(samples, now) == GIVEN.fine
+        assert arrived(samples, now, **what) == GIVEN.refused
+        assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
+        assert not samples.V[1].any() and not samples.A[1].any()

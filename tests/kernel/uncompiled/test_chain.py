@@ -1,4 +1,4 @@
-"""The arrays of a chain: forward kinematics, reach, starts, full turns."""
+"""The arrays of a chain: reach, full turns, the table of starts."""
 
 import math
 
@@ -7,30 +7,11 @@ import pytest
 import random_arms as arms
 
 from ik_toolkit.kernel import chain as chains
-from ik_toolkit.kernel.chain import evaluate, joint_levers, poses_at, segments, without_limits, without_wrap
+from ik_toolkit.kernel.chain import segments, without_limits, without_wrap
 from ik_toolkit.kernel.records import POINTS, Ends
 from ik_toolkit.kernel.starts import DISTANCE, SEEDS
 
 MIXES = ("tttstt", "tmtsnt", "stotmt", "tt")
-
-
-@pytest.mark.parametrize("kinds", MIXES)
-def test_poses_and_jacobians_of_a_chain(kinds):
-    rng = np.random.default_rng(len(kinds))
-    chain, rows, base, tip = arms.arm(rng, kinds)
-    Q = rng.uniform(chain.lower, chain.upper, (4, chain.n))
-    for way in (poses_at, evaluate):
-        T, J = way(chain.rows, chain.ends, Q, chain.unit, True)
-        for q, pose, own in zip(Q, T, J, strict=True):
-            np.testing.assert_allclose(pose, arms.fk(rows, base, tip, q)[0], atol=1e-13)
-            np.testing.assert_allclose(own, arms.jacobian(rows, base, tip, q), atol=2e-9)
-        assert way(chain.rows, chain.ends, Q, chain.unit)[1].shape[0] == 0
-    D = np.empty((4, len(rows)))
-    joint_levers(chain.rows, chain.ends, Q, chain.unit, D)
-    for q, row in zip(Q, D, strict=True):
-        pose, frames = arms.fk(rows, base, tip, q)
-        want = [np.linalg.norm(np.cross(F[:3, 2], pose[:3, 3] - F[:3, 3])) for F in frames]
-        np.testing.assert_allclose(row, want, atol=1e-12)
 
 
 @pytest.mark.parametrize("kinds", MIXES)
@@ -66,32 +47,6 @@ def test_reach_and_scale_of_a_chain(kinds):
     free = Ends(without_limits(chain.rows, chain.ends, n), n)
     assert (free.bound(0) == np.inf) == bool(rows[1:, 6].any()) or kinds[0] == "s"
     np.testing.assert_array_equal(free.flat[: POINTS + 7 * n + 1], chain.ends[: POINTS + 7 * n + 1])
-
-
-def test_the_hole_that_a_long_piece_leaves():
-    rows = np.zeros((3, 10))
-    rows[:, 0], rows[:, 4], rows[:, 8], rows[:, 9] = 1.0, 1.0, [0, 1, 2], 1.0
-    rows[1:, 2] = 3.0, 0.5
-    tip = np.array([*np.eye(3).ravel(), 0.75, 0.0, 0.0])
-    for last, want in ((0.0, [4.25, 1.75, 3.5, 2.5]), (1.0, None)):
-        rows[2, 6], rows[2, 4], rows[2, 9] = last, 1.0 - last, 1.0 - last
-        bounds = chains.reach_bounds(rows, tip, np.full(3, -1.0), np.full(3, 1.0))
-        if want:
-            np.testing.assert_allclose(bounds, [*want, 0.0, 0.0])
-        else:  # a slide may be as short as nothing and as long as its stroke
-            far = math.hypot(0.5, 1.0)
-            np.testing.assert_allclose(bounds, [3.75 + far, max(0.0, 3.0 - far - 0.75), 3.0 + far, 3.0 - far, 0.0, 0.0])
-
-
-def test_where_starts_are_drawn():
-    lower = np.array([-1.0, -np.inf, -np.inf, 2.0, -2e4, -np.inf, -3e4, -2e4])
-    upper = np.array([3.0, np.inf, 1.0, np.inf, 2e4, np.inf, 0.0, 2e4])
-    slides = np.array([False, False, False, False, False, True, False, False])
-    turns = np.array([False, True, False, False, True, False, True, False])
-    low, high = chains.start_range(lower, upper, slides, turns)
-    p = math.pi
-    np.testing.assert_allclose(low, [-1.0, -p, 1.0 - 2 * p, 2.0, -p, -1.0, -2 * p, -2e4])
-    np.testing.assert_allclose(high, [3.0, p, 1.0, 2.0 + 2 * p, p, 1.0, 0.0, 2e4])
 
 
 def test_what_may_wrap():

@@ -23,25 +23,6 @@ def scene(rng, E=4, S=3, n=5):
     return clearance.Bodies(V, coordinates, middle, radius, a, b, by_a, by_b)
 
 
-def test_levers_grow_with_what_later_joints_can_do():
-    rng = np.random.default_rng(0)
-    V, coordinates, middle, radius, a, b, by_a, by_b = parts = scene(rng)
-    way, out, spread = rng.uniform(0.0, 1.0, 5), np.full((3, 4), 9.0), np.full(3, 9.0)
-    clearance.levers(parts, way, out, spread)
-    want, total = np.zeros((3, 4)), np.zeros(3)
-    for p in range(3):
-        for s, moved in ((a[p], by_a[p]), (b[p], by_b[p])):
-            far = 0.0
-            for e in reversed(np.flatnonzero(moved)):
-                turn = np.linalg.norm(V[e, 3:])
-                lever = np.linalg.norm(V[e, :3] + np.cross(V[e, 3:], middle[s])) + turn * (radius[s] + far)
-                far += lever * way[coordinates[e]]
-                want[p, e] += lever
-            total[p] += far
-    np.testing.assert_allclose(out, want, rtol=1e-13)
-    np.testing.assert_allclose(spread, total, rtol=1e-13)
-
-
 def test_half_planes_let_pairs_brake():
     rng = np.random.default_rng(1)
     V, coordinates, _, _, _, _, by_a, by_b = parts = scene(rng)
@@ -80,19 +61,6 @@ def test_half_planes_let_pairs_brake():
     assert few == 1 and order[0] == want[0][1]
 
 
-def test_ways_bend_by_the_second_order():
-    rng = np.random.default_rng(2)
-    turn, lever, length = rng.random((3, 5))
-    moved = np.array([True, False, True, True, False])
-    want = sum(
-        lever[e] * length[e] * (0.5 * turn[e] * length[e] + sum(turn[k] * length[k] for k in range(e) if moved[k]))
-        for e in range(5)
-        if moved[e]
-    )
-    assert clearance.second_order_motion(turn, lever, moved, length) == pytest.approx(want)
-    assert clearance.second_order_motion(turn, lever, ~moved, length) < want + 9.0
-
-
 def straight(speed, pieces, h, n=1):
     """A path of even motion: rows of joint values, rates, and how far joints have gone."""
     Q = np.outer(np.arange(pieces + 1) * h, np.full(n, speed))
@@ -120,6 +88,25 @@ def test_a_slide_is_free_until_it_has_used_up_its_distance():
         assert np.all((near - 1 / 32 <= out) & (out <= near))
         clearance.free_until(parts, clearance.Separation(ks, flat, np.full(3, 9.0)), levers, path, start, out)
         np.testing.assert_array_equal(out, pieces)
+
+
+def test_levers_grow_with_what_later_joints_can_do():
+    rng = np.random.default_rng(0)
+    V, coordinates, middle, radius, a, b, by_a, by_b = parts = scene(rng)
+    way, out, spread = rng.uniform(0.0, 1.0, 5), np.full((3, 4), 9.0), np.full(3, 9.0)
+    clearance.levers(parts, way, out, spread)
+    want, total = np.zeros((3, 4)), np.zeros(3)
+    for p in range(3):
+        for s, moved in ((a[p], by_a[p]), (b[p], by_b[p])):
+            far = 0.0
+            for e in reversed(np.flatnonzero(moved)):
+                turn = np.linalg.norm(V[e, 3:])
+                lever = np.linalg.norm(V[e, :3] + np.cross(V[e, 3:], middle[s])) + turn * (radius[s] + far)
+                far += lever * way[coordinates[e]]
+                want[p, e] += lever
+            total[p] += far
+    np.testing.assert_allclose(out, want, rtol=1e-13)
+    np.testing.assert_allclose(spread, total, rtol=1e-13)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5])

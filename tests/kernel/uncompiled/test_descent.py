@@ -7,7 +7,7 @@ import pytest
 
 from ik_toolkit.servo import damped_descent
 from ik_toolkit.servo.constrained_step import MODE
-from ik_toolkit.servo.damped_descent import adapt, descend, feedback, notice, stop_in_time, stuck
+from ik_toolkit.servo.damped_descent import adapt, notice, stop_in_time, stuck
 from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import BIT, approach
 from ik_toolkit.servo.workspace import STATE
@@ -53,14 +53,6 @@ def standing(f=(0.0,) * 6, e=(1.0,) * 6, ahead=(1.0,) * 6):
     return SimpleNamespace(
         f=np.array(f), e=np.array(e), ahead=np.array(ahead), J=J, weight=np.ones(6), floor=-np.ones(2), roof=np.ones(2)
     )
-
-
-def test_what_is_fed_back():
-    assert feedback(law(kappa=40.0), H) == 40.0
-    assert feedback(law(kappa=90.0), H) == pytest.approx(2.0 / 3.0 / H)
-    assert feedback(law(LAW.ca), H) == 20.0
-    assert feedback(law(LAW.ca, kp=60.0, kd=0.0), H) == 0.0
-    assert feedback(law(LAW.aa), H) == pytest.approx(2.0 / 3.0 / H)
 
 
 def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
@@ -137,29 +129,6 @@ def test_joints_that_turn_back_twice_make_it_stuck():
     assert state[STATE.share] == damped_descent.DESCENT.turned
 
 
-def test_the_damping_is_found_by_trying():
-    state = new_state(share=0.5, nearest=1.0)
-    adapt(False, 0.9, H, state)
-    assert state[STATE.share] == 0.45 and state[STATE.nearest] == 0.9
-    adapt(True, 0.8, H, state)
-    assert state[STATE.share] == pytest.approx(3.6) and state[STATE.lowest] == pytest.approx(0.9)
-    for k in range(1000):
-        adapt(False, 0.8 - 1e-6 * k, H, state)
-        assert state[STATE.share] >= state[STATE.lowest]
-        if k == 25:
-            assert state[STATE.share] == state[STATE.lowest] > 0.3
-    assert state[STATE.share] == damped_descent.DESCENT.least
-    for k in range(1000):
-        adapt(False, 1.0, H, state)
-        if k == 10:
-            assert state[STATE.share] == pytest.approx(2.0 * damped_descent.DESCENT.least)
-            assert state[STATE.nearest] == 1.0, "what comes next is compared with this"
-            assert state[STATE.lowest] == damped_descent.DESCENT.least, "and does not lead back at once"
-    assert state[STATE.share] == damped_descent.DESCENT.most
-    adapt(True, 1.0, H, state)
-    assert state[STATE.share] == damped_descent.DESCENT.most
-
-
 def bench(rng, n, m=6):
     s = SimpleNamespace(
         J=rng.normal(size=(n, m)), free=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
@@ -172,22 +141,6 @@ def bench(rng, n, m=6):
     s.floor, s.roof = np.full(n, -9.0), np.full(n, 9.0)
     s.why_low, s.why_top = np.zeros((2, n), np.uint8)
     return s
-
-
-@pytest.mark.parametrize("n", [5, 7])
-@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
-def test_what_a_step_down_asks_for(n, acceleration):
-    s = bench(np.random.default_rng(n), n)
-    s.weight[2] = 0.0
-    J, e, w = s.J.copy(), s.e.copy(), s.weight.copy()
-    limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 9.0), np.full(n, acceleration)])
-    mu = descend(law(), s, limits, H, new_state(share=0.25))
-    assert mu == pytest.approx(0.25 * w.max() * np.linalg.norm(w * e))
-    np.testing.assert_allclose(s.ask, 40.0 * w * e)
-    np.testing.assert_allclose(s.J, J * w)
-    assert s.weight.tolist() == [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]
-    assert not s.x.any() and not s.v.any()
-    assert (s.roof < 9.0).any() == (acceleration < np.inf)
 
 
 @pytest.mark.parametrize("n", [5, 7])
@@ -210,3 +163,26 @@ def test_joints_can_stop_at_the_end_of_their_way(n):
         most = approach(abs(way[i]), 0.0, 1.0, H, 5.0, H) if i != 1 else np.inf
         assert s.roof[i] == pytest.approx(min(roof[i], most)) and s.floor[i] == pytest.approx(max(floor[i], -most))
     assert s.why_top[2] == BIT.calmed and s.why_top[1] == 0
+
+
+def test_the_damping_is_found_by_trying():
+    state = new_state(share=0.5, nearest=1.0)
+    adapt(False, 0.9, H, state)
+    assert state[STATE.share] == 0.45 and state[STATE.nearest] == 0.9
+    adapt(True, 0.8, H, state)
+    assert state[STATE.share] == pytest.approx(3.6) and state[STATE.lowest] == pytest.approx(0.9)
+    for k in range(1000):
+        adapt(False, 0.8 - 1e-6 * k, H, state)
+        assert state[STATE.share] >= state[STATE.lowest]
+        if k == 25:
+            assert state[STATE.share] == state[STATE.lowest] > 0.3
+    assert state[STATE.share] == damped_descent.DESCENT.least
+    for k in range(1000):
+        adapt(False, 1.0, H, state)
+        if k == 10:
+            assert state[STATE.share] == pytest.approx(2.0 * damped_descent.DESCENT.least)
+            assert state[STATE.nearest] == 1.0, "what comes next is compared with this"
+            assert state[STATE.lowest] == damped_descent.DESCENT.least, "and does not lead back at once"
+    assert state[STATE.share] == damped_descent.DESCENT.most
+    adapt(True, 1.0, H, state)
+    assert state[STATE.share] == damped_descent.DESCENT.most

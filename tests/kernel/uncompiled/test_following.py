@@ -6,13 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ik_toolkit.servo import laws, null_space_motion, target_stream
-from ik_toolkit.servo.laws import LAW, Law
+from ik_toolkit.servo import null_space_motion, target_stream
 from ik_toolkit.servo.workspace import STATE
-
-
-def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
 
 
 # ------------------------------------------------------------------------------------------------------------- wishes
@@ -127,15 +122,6 @@ def test_wishes_keep_half_of_the_room():
     out = np.array([-0.1, 0.0, 0.0])
     null_space_motion.scale_secondary(out, np.array([-1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
-
-
-def test_wishes_go_into_the_null_space():
-    rng = np.random.default_rng(5)
-    J, g = rng.normal(size=(7, 6)), rng.normal(size=7)
-    G, y, t, part, out = np.zeros((7, 7)), np.empty(7), np.empty(6), np.empty(7), g.copy()
-    laws.factor(J, 6, 0.0, G, y)
-    null_space_motion.into_null_space(J, 6, G, y, t, out, part)
-    np.testing.assert_allclose(out, g - np.linalg.pinv(J.T) @ (J.T @ g), atol=1e-10)
 
 
 def test_turns_of_a_reference():

@@ -122,15 +122,3 @@ def test_lost_directions_are_taken_out(n):
         singular_step.along_lost(V, lost, xk, moved, speeds)
         want = x - V[taken].T @ (V[taken] @ x) + speeds * V[taken].T @ xk[taken]
         np.testing.assert_allclose(moved, want, atol=1e-12)
-
-
-def test_what_one_tip_cannot_reach_is_nothing_to_a_direction_of_another():
-    rng = np.random.default_rng(8)
-    U, sigma, lost = np.zeros((12, 12)), rng.uniform(0.2, 1.0, 12), np.zeros(12)
-    U[:6, :6], U[6:, 6:] = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
-    lost[3] = 1.0
-    asked = rng.normal(size=(3, 12))  # e, ahead, f
-    more = 0.7 * abs(U[3] @ asked[0])
-    wanted = asked - (np.where(np.arange(12) < 6, more / (sigma**2 + more), 0.0) * (1.0 - lost) * (asked @ U.T)) @ U
-    singular_step.hold_back(U, sigma, lost, 0.7, *asked, np.empty(12))
-    np.testing.assert_allclose(asked, wanted, atol=1e-14)

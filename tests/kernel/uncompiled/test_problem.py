@@ -9,31 +9,9 @@ import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
 from ik_toolkit.kernel import counted_error as tasks
-from ik_toolkit.kernel.algebra import M3, V3
 from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import Ends
 from ik_toolkit.kernel.serial import make_serial
-
-
-def test_what_a_task_allows_and_counts():
-    t = task(KIND.part, w0=0.5, w1=2.0, s0=3.0, s1=4.0, w3=0.0)
-    assert tasks.allowance(t, 0, 0.1) == pytest.approx(5.2) and tasks.allowance(t, 3, 0.1) == np.inf
-    assert tasks.allowance(task(KIND.part, w5=4.0, s3=1.0), 3, 0.1) == pytest.approx(1.1)
-    for values, want in (
-        ({}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0, "w2": 0.0}, (0.0, 1.0)),
-        ({"free": 1.0}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0, "s5": math.pi}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0}, (1.0, 1.0)),
-        ({"s0": np.inf, "s1": np.inf, "s2": np.inf}, (0.0, 1.0)), ({"w3": 0.0, "w4": 0.0, "w5": 0.0}, (1.0, 0.0)),
-    ):  # fmt: skip
-        assert tasks.counts(task(KIND.part, **values)) == want
-    for size in (1e-3, 0.99e-2, 1.01e-2, 0.5, 2.0, 3.1):
-        r = size * np.array([0.6, 0.0, 0.8])
-        K = pin.skew(r)
-        want = np.linalg.inv(pin.Jexp3(r)) - np.eye(3) - 0.5 * K
-        np.testing.assert_allclose(tasks.log_curvature(size * size) * K @ K, want, atol=1e-9)
-    assert tasks.vector_ratio(KIND.part, 0.5) == 1.0 and tasks.vector_ratio(KIND.pose, 0.5) > 1.0
-    assert tasks.angle_left(KIND.part, 0.25) == 0.5 and tasks.angle_left(
-        KIND.pose, 4.0 * math.sin(0.25) ** 2
-    ) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("frame", [AXES.base, AXES.tip, AXES.target])
@@ -65,139 +43,7 @@ def test_errors_that_count_and_their_derivative(frame, part, kinds):
             assert p.slope(look, i) == pytest.approx(J[i] @ p.desk.y)
 
 
-def test_half_a_turn_of_a_free_axis():
-    for axis in ([1.0, 0, 0], [0, 1.0, 0], [0.6, 0.8, 0.0], [0.71, 0.0, math.sqrt(1 - 0.71**2)]):
-        ends = Ends(np.array([*np.eye(3).ravel(), 0, 0, 0, *np.eye(3).ravel(), 0, 0, 0], float), 0)
-        across = np.cross(axis, [0.3, 0.5, 0.9])
-        R = pin.exp3(math.pi * across / np.linalg.norm(across))
-        goal = np.array([*R.ravel(), 0, 0, 0, 0, 0, 0])
-        now = M3(V3(1.0, 0, 0), V3(0, 1.0, 0), V3(0, 0, 1.0))
-        kept, t = np.empty(39), task(KIND.part, free=1.0, ax=axis[0], ay=axis[1], az=axis[2])
-        _, r = tasks.shape(t, ends, goal, now, V3(0.0, 0, 0), V3(0.0, 0, 0), kept)
-        assert np.linalg.norm(r) == pytest.approx(math.pi) and np.dot(r, axis) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("frame", [AXES.base, AXES.tip, AXES.target])
-def test_a_free_turn_is_laid_last(frame):
-    rng = np.random.default_rng(20 + frame)
-    chain, rows, base, tip = arms.arm(rng)
-    values = {"free": 1.0, "ax": 0.48, "ay": 0.6, "az": 0.64}
-    for more, some in (({}, True), ({"w4": 0.0}, False), ({"free": 0.0}, False)):
-        t = task(KIND.part, frame=float(frame), **{**values, **more})
-        p = make_serial(chain.rows, chain.ends, t, chain.n, orders())
-        q = rng.uniform(chain.lower, chain.upper) / chain.unit
-        p.aim(arms.fk(rows, base, tip, rng.uniform(chain.lower, chain.upper))[0], orders())
-        look = p.evaluate(q)
-        p.jacobian(look)
-        out = np.full((1, 3), 9.0)
-        p.mirrors(out)
-        if not some:
-            assert not out.any()
-            continue
-        assert np.linalg.norm(out[0]) == pytest.approx(1.0)
-        H = np.eye(3) - 2.0 * np.outer(out[0], out[0])
-        np.testing.assert_allclose((p.desk.J[:, 3:] @ H)[:, 2], 0.0, atol=1e-9)
-        assert np.abs((p.desk.J[:, 3:] @ H)[:, :2]).max() > 0.1
-    assert not p.plain()
-    p = make_serial(chain.rows, chain.ends, task(KIND.position), chain.n, orders())
-    assert p.plain() and not make_serial(chain.rows, chain.ends, task(KIND.free), chain.n, orders()).plain()
-
-
 # ------------------------------------------------------------------------------------------------------------ one tip
-@pytest.mark.parametrize("kind", [KIND.pose, KIND.position, KIND.free])
-@pytest.mark.parametrize("kinds", ["tttstt", "stotmt"])
-def test_whole_poses_and_positions(kind, kinds):
-    rng = np.random.default_rng(30 + kind)
-    chain, rows, base, tip = arms.arm(rng, kinds)
-    o = orders(tol_p=1e-3, tol_r=1e-2)
-    p = make_serial(chain.rows, chain.ends, task(kind), chain.n, o)
-    q = rng.uniform(chain.lower, chain.upper)
-    goal = np.clip(q + 0.2 * rng.normal(size=chain.n), chain.lower, chain.upper)
-    T, now = (arms.fk(rows, base, tip, x)[0] for x in (goal, q))
-    assert p.aim(T, o) == 0.0
-    look = p.evaluate(q / chain.unit)
-    own, turn = T[:3, 3] - now[:3, 3], pin.log3(T[:3, :3] @ now[:3, :3].T)
-    if kind != KIND.pose:
-        turn = turn * 0.0
-    if kind == KIND.free:
-        own = own * 0.0
-    p.stack(look)
-    y, out = p.desk.y.copy(), np.empty(6)
-    p.base_axes(y, out)
-    np.testing.assert_allclose(out, [*own, *turn], atol=1e-11) if kind != KIND.free else None
-    angle = np.linalg.norm(turn)
-    assert p.norm(look, 0.3) == pytest.approx(math.sqrt((own @ own) / chain.scale**2 + 0.09 * angle**2))
-    p.keep(look, 1)
-    np.testing.assert_allclose(p.left(1), [np.linalg.norm(own), angle], atol=1e-10)
-    assert not look.good or kind == KIND.free
-    assert p.evaluate(goal / chain.unit).good
-    look = p.evaluate(q / chain.unit)
-    p.jacobian(look)
-    R = base[:3, :3]
-    J = arms.jacobian(rows, base, tip, q)
-    want = np.vstack([R.T @ J[:3] / chain.scale, R.T @ J[3:] * (kind == KIND.pose)]) * chain.unit * (kind != KIND.free)
-    np.testing.assert_allclose(p.desk.J, want.T, atol=3e-9)
-    e = np.concatenate([look.linear, look.angular])
-    w = rng.uniform(0.5, 2.0, chain.n)
-    p.desk.w[:] = w
-    p.damped(look, 0.01)
-    np.testing.assert_allclose(
-        p.desk.dq, w * (want.T @ np.linalg.solve(want * w @ want.T + 0.01 * np.eye(6), e)), atol=1e-7
-    )
-    p.toward(np.arange(6.0), 0.01)
-    np.testing.assert_allclose(
-        p.desk.dq, w * (want.T @ np.linalg.solve(want * w @ want.T + 0.01 * np.eye(6), np.arange(6.0))), atol=1e-6
-    )
-    V = rng.normal(size=6)
-    p.moving(V, out)
-    u, v = R.T @ V[:3] / chain.scale, R.T @ V[3:]
-    np.testing.assert_allclose(out, [*(u * (kind != KIND.free)), *(v * (kind == KIND.pose))], atol=1e-13)
-    p.pseudo(look, 1e-6)
-    np.testing.assert_allclose(p.desk.dq, np.linalg.pinv(want, 1e-6) @ y, atol=1e-6)
-    assert p.width() == 6
-
-
-@pytest.mark.parametrize("kind", [KIND.pose, KIND.position])
-@pytest.mark.parametrize("kinds", ["tttstt", "tmtsnt"])
-def test_moves_of_one_joint(kind, kinds):
-    rng = np.random.default_rng(40 + kind)
-    chain, rows, base, tip = arms.arm(rng, kinds)
-    p = make_serial(chain.rows, chain.ends, task(kind), chain.n, orders())
-    for _ in range(5):
-        q, goal = (rng.uniform(chain.lower, chain.upper) for _ in range(2))
-        T = arms.fk(rows, base, tip, goal)[0]
-        p.aim(T, orders())
-        look = p.try_out(q / chain.unit)
-        for i in range(chain.n):
-            move = p.best_move(look, i, 1e-12)
-            p.jacobian(look)
-            p.stack(look)
-            if kind == KIND.position and kinds == "tttstt" and rows[i, 9]:  # the best turn of all
-                far = []
-                for angle in move + np.append(0.0, np.linspace(0.01, 6.27, 12)):
-                    y = q.copy()
-                    y[i] += angle
-                    far.append(np.linalg.norm(arms.fk(rows, base, tip, y)[0][:3, 3] - T[:3, 3]))
-                assert min(far) == far[0]
-            else:
-                assert move == pytest.approx(p.desk.J[i] @ p.desk.y / (p.desk.J[i] @ p.desk.J[i]), rel=1e-9)
-            assert p.best_move(look, i, 1e9) == 0.0
-    assert p.desk.spent[0] == 5.0
-    p.undo(look)
-    assert p.desk.spent[0] == 5.0
-    box = Ends(chain.ends, chain.n)
-    assert p.inside(0, 99.0) == box.upper(0) and p.inside(0, -99.0) == box.lower(0) and p.inside(0, 0.1) == 0.1
-    loose = make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0))
-    assert loose.inside(0, 99.0) == 99.0
-    assert make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0, follow=0.1)).inside(0, 99.0) < 99.0
-    part = make_serial(chain.rows, chain.ends, task(KIND.part), chain.n, orders())
-    part.aim(np.eye(4), orders())
-    part.desk.q[:] = 0.0
-    part.undo(look)
-    assert part.desk.spent[0] == 1.0
-    assert p.desk.affords(1.0) == (5.0 + 1.0 < p.desk.spent[1])
-    p.desk.spent[1] = 7.0
-    assert p.desk.affords(1.0) and not p.desk.affords(2.0)
 
 
 def test_targets_out_of_reach_and_no_poses():
@@ -242,3 +88,67 @@ def test_targets_out_of_reach_and_no_poses():
     position.jacobian(look)
     position.bending(look, a, b, x[:6] if len(x) >= 6 else out)
     assert not (x[:6] if len(x) >= 6 else out)[3:].any()
+
+
+def test_what_a_task_allows_and_counts():
+    t = task(KIND.part, w0=0.5, w1=2.0, s0=3.0, s1=4.0, w3=0.0)
+    assert tasks.allowance(t, 0, 0.1) == pytest.approx(5.2) and tasks.allowance(t, 3, 0.1) == np.inf
+    assert tasks.allowance(task(KIND.part, w5=4.0, s3=1.0), 3, 0.1) == pytest.approx(1.1)
+    for values, want in (
+        ({}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0, "w2": 0.0}, (0.0, 1.0)),
+        ({"free": 1.0}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0, "s5": math.pi}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0}, (1.0, 1.0)),
+        ({"s0": np.inf, "s1": np.inf, "s2": np.inf}, (0.0, 1.0)), ({"w3": 0.0, "w4": 0.0, "w5": 0.0}, (1.0, 0.0)),
+    ):  # fmt: skip
+        assert tasks.counts(task(KIND.part, **values)) == want
+    for size in (1e-3, 0.99e-2, 1.01e-2, 0.5, 2.0, 3.1):
+        r = size * np.array([0.6, 0.0, 0.8])
+        K = pin.skew(r)
+        want = np.linalg.inv(pin.Jexp3(r)) - np.eye(3) - 0.5 * K
+        np.testing.assert_allclose(tasks.log_curvature(size * size) * K @ K, want, atol=1e-9)
+    assert tasks.vector_ratio(KIND.part, 0.5) == 1.0 and tasks.vector_ratio(KIND.pose, 0.5) > 1.0
+    assert tasks.angle_left(KIND.part, 0.25) == 0.5 and tasks.angle_left(
+        KIND.pose, 4.0 * math.sin(0.25) ** 2
+    ) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("kind", [KIND.pose, KIND.position])
+@pytest.mark.parametrize("kinds", ["tttstt", "tmtsnt"])
+def test_moves_of_one_joint(kind, kinds):
+    rng = np.random.default_rng(40 + kind)
+    chain, rows, base, tip = arms.arm(rng, kinds)
+    p = make_serial(chain.rows, chain.ends, task(kind), chain.n, orders())
+    for _ in range(5):
+        q, goal = (rng.uniform(chain.lower, chain.upper) for _ in range(2))
+        T = arms.fk(rows, base, tip, goal)[0]
+        p.aim(T, orders())
+        look = p.try_out(q / chain.unit)
+        for i in range(chain.n):
+            move = p.best_move(look, i, 1e-12)
+            p.jacobian(look)
+            p.stack(look)
+            if kind == KIND.position and kinds == "tttstt" and rows[i, 9]:  # the best turn of all
+                far = []
+                for angle in move + np.append(0.0, np.linspace(0.01, 6.27, 12)):
+                    y = q.copy()
+                    y[i] += angle
+                    far.append(np.linalg.norm(arms.fk(rows, base, tip, y)[0][:3, 3] - T[:3, 3]))
+                assert min(far) == far[0]
+            else:
+                assert move == pytest.approx(p.desk.J[i] @ p.desk.y / (p.desk.J[i] @ p.desk.J[i]), rel=1e-9)
+            assert p.best_move(look, i, 1e9) == 0.0
+    assert p.desk.spent[0] == 5.0
+    p.undo(look)
+    assert p.desk.spent[0] == 5.0
+    box = Ends(chain.ends, chain.n)
+    assert p.inside(0, 99.0) == box.upper(0) and p.inside(0, -99.0) == box.lower(0) and p.inside(0, 0.1) == 0.1
+    loose = make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0))
+    assert loose.inside(0, 99.0) == 99.0
+    assert make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0, follow=0.1)).inside(0, 99.0) < 99.0
+    part = make_serial(chain.rows, chain.ends, task(KIND.part), chain.n, orders())
+    part.aim(np.eye(4), orders())
+    part.desk.q[:] = 0.0
+    part.undo(look)
+    assert part.desk.spent[0] == 1.0
+    assert p.desk.affords(1.0) == (5.0 + 1.0 < p.desk.spent[1])
+    p.desk.spent[1] = 7.0
+    assert p.desk.affords(1.0) and not p.desk.affords(2.0)

@@ -1,16 +1,14 @@
-"""The parts of a tracker step around its law (start, wishes, clipping), and parts of the constrained step."""
+"""Parts of a tracker step around its law: wishes, curvature, and joints that swing."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel.search import SINGULAR_STEP
 from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
 from ik_toolkit.servo.constrained_step import MODE
 from ik_toolkit.servo.laws import LAW, Law
-from ik_toolkit.servo.viability import BIT
-from ik_toolkit.servo.workspace import START, STATE
+from ik_toolkit.servo.workspace import STATE
 
 
 def law(code=LAW.cv, **values):
@@ -44,53 +42,6 @@ def scratch(rng, n=7, m=6):
 
 def null(J):
     return np.eye(len(J)) - np.linalg.pinv(J.T) @ J.T
-
-
-def test_the_rate_at_the_start():
-    rng = np.random.default_rng(0)
-    n, m = 7, 6
-    J, f = rng.normal(size=(n, m)), rng.normal(size=m)
-    limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 0.3), np.full(n, 0.5)])
-    own = np.linalg.pinv(J.T) @ f
-    for at in (0.0, 0.995):
-        q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
-        state[STATE.start] = START.with_target
-        loop.initial_rates(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
-        gaps = [max(viability.way_to(np.copysign(1.0, v), at, np.copysign(1.0, v)), 0.0) for v in own]
-        top = np.array([min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps])
-        np.testing.assert_allclose(rate, np.clip(own, -top, top), rtol=1e-9)
-        assert state[STATE.start] == START.ready
-    state[STATE.start] = START.given
-    loop.initial_rates(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
-    np.testing.assert_array_equal(rate, own)
-    assert state[STATE.start] == START.ready
-
-
-def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
-    J = np.random.default_rng(3).normal(size=(5, 6))
-    floor, roof = np.array([-1.0, 0.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0, 0.0])
-    left = J.copy()
-    loop.leave_out(left, floor, roof)
-    assert not left[[1, 4]].any() and np.array_equal(left[[0, 2, 3]], J[[0, 2, 3]])
-
-
-def test_half_planes_are_gathered_and_rates_clipped():
-    lines, level = np.arange(12.0).reshape(4, 3), np.arange(4.0)
-    planes, edges = np.zeros((6, 3)), np.zeros(6)
-    assert loop.copy_planes(law(rows=2.0), lines, level, planes, edges) == 2
-    np.testing.assert_array_equal(planes, [*lines[:2], *np.zeros((4, 3))])
-    np.testing.assert_array_equal(edges, [0, 1, 0, 0, 0, 0])
-    for still in (False, True):
-        s = SimpleNamespace(x=np.array([3.0, 0.2, -3.0]), floor=np.full(3, -1.0), roof=np.ones(3), before=np.array([0.5, 0.1, 0.0]),
-                            why_low=np.array([1, 1, 2], np.uint8), why_top=np.array([4, 1, 2], np.uint8))  # fmt: skip
-        memory, code = np.full(3, 7.0), np.zeros(3, np.uint8)
-        loop.clip_rates(law(LAW.ca), s, still, 0.1, memory, code)
-        np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
-        np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (BIT.held if still else 0))
-        np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
-    s.x[:] = [3.0, 0.2, -3.0]
-    assert not loop.by_clipping(law(), s, 0, 0.0, 0.1, None, None, code)
-    np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
 def test_wishes_are_found_and_added():
@@ -184,39 +135,6 @@ def test_curvature_by_differences():
     s.x1[:] = 0.0
     null_space_motion.by_difference(task, s)
     np.testing.assert_array_equal(s.bias, 0.0)
-
-
-def test_a_step_of_a_rule():
-    rng = np.random.default_rng(3)
-    task, s, weights, memory = Bent(rng), scratch(rng), rng.random(7), rng.random(7)
-    s.at[:], s.g[:] = rng.normal(size=7), 0.0
-    old = memory.copy()
-
-    class Rule:
-        code = 0
-
-        def step(self, p, look):
-            np.testing.assert_array_equal(p.desk.w, weights)
-            np.testing.assert_array_equal(p.desk.q, s.at)
-            np.testing.assert_array_equal(p.desk.x, old)
-            assert p.desk.spent[0] == 0.0 and p.desk.spent[1] == np.inf
-            p.desk.dq[:], p.desk.x[:] = 0.5, 3.0
-            return self.code
-
-    args = law(), Rule(), task, None, weights, s, None, SimpleNamespace(memory=memory), command.Moment(0, 0.1)
-    assert command.by_rule(*args) == 0.0 and task.asked == 0
-    np.testing.assert_allclose(s.x, 5.0)
-    np.testing.assert_array_equal(memory, 3.0)
-    memory[:], s.g[3] = old, 0.25
-    command.by_rule(*args)
-    np.testing.assert_allclose(s.x, 5.0 + s.g)
-    assert task.asked == 1
-    Rule.code, memory[:] = SINGULAR_STEP, old
-    command.by_rule(*args)
-    np.testing.assert_array_equal(s.x, s.g)
-    out = np.zeros((3, 2))
-    command.copy_rows(np.arange(6.0).reshape(3, 2), out)
-    np.testing.assert_array_equal(out, np.arange(6.0).reshape(3, 2))
 
 
 # -------------------------------------------------------------------------------------------------- the constrained step

@@ -6,31 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
+from ik_toolkit.servo import command, singular_directions, singular_step
 from ik_toolkit.servo.constrained_step import MODE
 from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.singular_step import WEAK
 from ik_toolkit.servo.viability import approach
 from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
-
-
-def test_modes_of_a_pose_nearby_are_a_start(turns):
-    rng = np.random.default_rng(12)
-    J = rng.normal(size=(7, 6))
-    W, near, U, sigma = np.empty((6, 7)), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    singular_step.modes(J, near, W, U, sigma)
-    cold = len(turns)
-    J += 1e-4 * rng.normal(size=J.shape)
-    singular_step.modes(J, near, W, U, sigma)
-    np.testing.assert_allclose(near, U, rtol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, rtol=1e-15)
-    assert len(turns) - cold < 0.7 * cold
-    np.testing.assert_allclose(W.T @ U, J, atol=1e-12)
-    np.testing.assert_allclose(U @ U.T, np.eye(6), atol=1e-12)
-    np.testing.assert_allclose(np.sort(sigma)[::-1], np.linalg.svd(J, compute_uv=False), atol=1e-12)
-    before = len(turns)
-    singular_step.modes(J, near, W, U, sigma)
-    assert len(turns) < before + 15  # once round, for what rounding leaves
 
 
 def speed(
@@ -119,14 +100,6 @@ def test_the_side_the_joints_come_from_is_remembered():
     assert out and x == pytest.approx(min((6e-3 + 5e-3) * 5.0, 1.25))
     x, out, _ = speed(6e-3, [1.0, 0.0, 1.0], moved=-1e-3, away=tuple(-0.9 * v))
     assert out and x == pytest.approx(-min((6e-3 + 5e-3) * 5.0, 1.25))
-
-
-def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
-    for left, rest in ((1e-4, 0.01), (-9e-4, 0.01), (1.1e-3, 0.01), (1e-4, 0.0)):
-        less = 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else 1.0
-        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less * left, moved=less * 2e-6)[0]
-        found = speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest, moved=2e-6)[0]
-        assert found == pytest.approx(alone, rel=1e-12)
 
 
 def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
@@ -284,10 +257,9 @@ def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     np.testing.assert_allclose(x, command, atol=1e-12)
 
 
-def test_rows_of_a_task_are_weighed():
-    rng = np.random.default_rng(8)
-    weight, J, rows = np.array([0.5, 3.0, 2.0]), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
-    command = J * weight, rows * weight
-    assert null_space_motion.weigh(weight, J, *rows) == 3.0
-    np.testing.assert_array_equal(J, command[0])
-    np.testing.assert_array_equal(rows, command[1])
+def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
+    for left, rest in ((1e-4, 0.01), (-9e-4, 0.01), (1.1e-3, 0.01), (1e-4, 0.0)):
+        less = 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else 1.0
+        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less * left, moved=less * 2e-6)[0]
+        found = speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest, moved=2e-6)[0]
+        assert found == pytest.approx(alone, rel=1e-12)

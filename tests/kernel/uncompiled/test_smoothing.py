@@ -1,4 +1,4 @@
-"""Secondary objectives and whole paths: measures, their derivatives, bands, intermediate poses, the program over tracks."""
+"""Secondary objectives and whole paths: what they cost, derivatives, and where they end."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.optimize import approx_fprime
 
 from ik_toolkit.kernel import null_space
 from ik_toolkit.kernel.counted_error import KIND
-from ik_toolkit.kernel.null_space import OBJECTIVE, Bounds, make_bounds
+from ik_toolkit.kernel.null_space import OBJECTIVE, Bounds
 from ik_toolkit.kernel.records import AT, SIZE, Ends, Orders, Task
 from ik_toolkit.kernel.serial import make_serial
 from ik_toolkit.paths import smoothing
@@ -27,21 +27,6 @@ def full(A):
         for k in range(max(0, i - b), i + 1):
             S[i, k] = S[k, i] = A[i, k - i + b]
     return S
-
-
-def test_bands():
-    rng = np.random.default_rng(0)
-    for M, b in ((1, 2), (9, 1), (12, 4), (5, 7)):
-        A = rng.normal(size=(M, b + 1))
-        A[:, b] = 8.0 + rng.random(M)
-        S, x = full(A), rng.normal(size=M)
-        y = x.copy()
-        smoothing.band_cholesky(A, 1e-12)
-        smoothing.band_solve(A, y)
-        np.testing.assert_allclose(y, np.linalg.solve(S, x), rtol=1e-10, atol=1e-12)
-    A = np.array([[0.0, 4.0], [0.0, -1.0], [0.0, 9.0]])
-    smoothing.band_cholesky(A, 0.25)
-    np.testing.assert_allclose(A[:, 1], [0.5, 2.0, 1.0 / 3.0])
 
 
 def test_what_a_path_costs_and_its_derivatives():
@@ -79,36 +64,6 @@ def test_what_a_path_costs_and_its_derivatives():
     assert not np.any(A[0, :-1])
 
 
-def test_a_newton_step_holds_what_would_leave_its_limits():
-    rng = np.random.default_rng(2)
-    N, n = 4, 2
-    M, b = N * n, 4
-    now = np.zeros((N, n))
-    box = box_of([-1.0, -1.0], [1.0, 1.0])
-    now[1], now[2] = [1.0, -1.0], [1.0 - 0.5e-12, -1.0 + 0.5e-12]
-    for _ in range(20):
-        H = rng.normal(size=(M, b + 1)) * 0.3
-        H[:, b] = 5.0
-        g, held = rng.normal(size=M), np.zeros(M, bool)
-        A, x = np.empty_like(H), np.empty(M)
-        fixed, weights = np.array([False, False, False, True]), np.array([1.0, 1.0])
-        smoothing.newton_step(H, g, now, fixed, weights, box, held, A, x)
-        S, want, still = full(H), np.zeros(M), np.repeat(fixed, n)
-        while True:
-            free = ~still
-            want[:] = 0.0
-            want[free] = np.linalg.solve(S[np.ix_(free, free)], -g[free])
-            out = ((now.ravel() >= 1.0 - 1e-12) & (want > 0.0)) | ((now.ravel() <= -1.0 + 1e-12) & (want < 0.0))
-            if not np.any(out & free):
-                break
-            still = still | out
-        np.testing.assert_allclose(x, want, atol=1e-12)
-        np.testing.assert_array_equal(held, still)
-    held[:] = False
-    smoothing.newton_step(H, g, now, fixed, np.array([0.0, 1.0]), box, held, A, x)
-    assert not x[::2].any() and held[::2].all() and not held[[1]].all() == bool(x[1])
-
-
 def arm_at(seed, kind=KIND.pose, kinds="tttsttt", part=None):
     rng = np.random.default_rng(seed)
     chain, rows, base, tip = arms.arm(rng, kinds)
@@ -118,45 +73,6 @@ def arm_at(seed, kind=KIND.pose, kinds="tttsttt", part=None):
     T = arms.fk(rows, base, tip, q)[0]
     assert p.aim(T, ORDERS) == 0.0
     return rng, chain, rows, base, tip, p, q, T
-
-
-def test_poses_are_brought_back_onto_their_targets():
-    rng, chain, rows, base, tip, p, q, T = arm_at(3)
-    weights = np.ones(chain.n)
-    weights[2] = 0.0
-    box = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
-    for enough in (smoothing.ARRIVED, 0.0):
-        p.desk.q[:] = q / chain.unit + 0.05 * rng.normal(size=chain.n)
-        kept = p.desk.q[2]
-        e = null_space.onto_target(p, weights, box, enough)
-        assert e.good and e.ee <= (enough or 1.0) and p.desk.q[2] == kept
-        pose = arms.fk(rows, base, tip, p.desk.q * chain.unit)[0]
-        np.testing.assert_allclose(pose, T, atol=3e-9)
-    p.desk.q[:] = q / chain.unit
-    assert null_space.onto_target(p, weights, box, 1e-24).ee <= 1e-24
-    near = box_of(q / chain.unit - 0.03, q / chain.unit + 0.03)
-    p.desk.q[:] = q / chain.unit + np.clip(0.05 * rng.normal(size=chain.n), -0.03, 0.03)
-    null_space.onto_target(p, np.ones(chain.n), near, 0.0)
-    assert np.all(np.abs(p.desk.q - q / chain.unit) <= 0.03 + 1e-15)
-    out = np.array([0.5, -0.5, 0.0])
-    null_space.add_inside(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
-    np.testing.assert_allclose(out, [0.7, -0.7, 0.5])
-
-
-def test_limits_as_an_objective_counts_them():
-    ends = Ends(
-        np.concatenate([np.zeros(24), [-1, -9, -2e15, -3], [2, 9, 2e15, 3], [0, 2, 0, 1], np.ones(4), np.zeros(13)]), 4
-    )
-    for what, limits, counted in (
-        (OBJECTIVE.mid_range, True, [1, 0, 0, 1]),
-        (OBJECTIVE.reference, False, [1, 1, 1, 1]),
-        (OBJECTIVE.manipulability, True, [1, 0, 0, 1]),
-    ):
-        box = make_bounds(np.empty((3, 4)), ends, what, limits)
-        low, high = np.array([-1, -np.inf, -2e15, -3.0]), np.array([2, np.inf, 2e15, 3.0])
-        np.testing.assert_array_equal([box.lower(i) for i in range(4)], low if limits else np.full(4, -np.inf))
-        np.testing.assert_array_equal([box.upper(i) for i in range(4)], high if limits else np.full(4, np.inf))
-        assert [box.counted(i) for i in range(4)] == counted
 
 
 @pytest.mark.parametrize("kind", [KIND.pose, KIND.position])
@@ -196,36 +112,6 @@ def test_objectives_and_where_they_fall(kind):
     again = p.desk.J.copy()
     p.jacobian(p.evaluate(x))
     np.testing.assert_allclose(again, p.desk.J, atol=1e-9)
-
-
-def test_what_moves_no_tip():
-    rng, chain, *_, p, q, _ = arm_at(5)
-    n = chain.n
-    x = q / chain.unit
-    p.desk.q[:] = x
-    p.jacobian(p.evaluate(x))
-    J, z, w = p.desk.J.copy(), rng.normal(size=n), rng.uniform(0.5, 2.0, n)
-    wide = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
-    p.desk.w[:] = w
-    null_space.direction(p, z, wide)
-    JW = J * w[:, None]
-    want = z - JW @ np.linalg.solve(J.T @ JW + 1e-10 * np.eye(6), J.T @ z)
-    np.testing.assert_allclose(p.desk.dq, want, atol=1e-6)
-    np.testing.assert_allclose(J.T @ p.desk.dq, 0.0, atol=1e-7)
-    tight = box_of(x - 1.0, x + 1.0)
-    i = int(np.argmax(np.abs(p.desk.dq)))
-    tight.limits[1 if p.desk.dq[i] > 0 else 0, i] = x[i]
-    p.desk.w[:] = w
-    null_space.direction(p, z, tight)
-    assert p.desk.dq[i] == 0.0 and p.desk.w[i] == 0.0
-    old, before, way, dq = rng.normal(size=(4, n))
-    s, y = old - before, way - dq
-    gain = null_space.secant(old, before, way, dq, 0.37)
-    assert gain == pytest.approx(min(max(s @ s / (s @ y), 1e-3), 1e3) if s @ y > 1e-12 * s @ s else 0.37)
-    assert null_space.secant(old, before, way, way - s, 0.37) == pytest.approx(1.0)
-    assert null_space.secant(old, before, way, way + s, 0.37) == 0.37
-    assert null_space.secant(old, before, way, way - 1e-6 * s, 0.37) == 1e3
-    assert null_space.secant(old, before, way, way - 1e6 * s, 0.37) == 1e-3
 
 
 @pytest.mark.parametrize("what", [OBJECTIVE.mid_range, OBJECTIVE.reference, OBJECTIVE.manipulability])

@@ -1,19 +1,15 @@
-"""One step of a tracker: a published law, the effect of limits, signs of multipliers."""
+"""One step of a tracker: the effect of limits, signs of multipliers."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import random_arms as arms
-from random_arms import orders, task
 
-from ik_toolkit.kernel.serial import make_serial
-from ik_toolkit.servo import command, equality_qp, hierarchical_qp, loop
-from ik_toolkit.servo import constrained_step as constrain_module
-from ik_toolkit.servo.constrained_step import CAUTION, MODE, Allowed, StepTaken, TaskRate, constrain, make_room
-from ik_toolkit.servo.laws import LAW, READING, Law
+from ik_toolkit.servo import equality_qp, hierarchical_qp, loop
+from ik_toolkit.servo.constrained_step import CAUTION, MODE, make_room
+from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import BIT
-from ik_toolkit.servo.workspace import START, STATE, bench_on, bench_space
+from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
 
 
 def law(code=LAW.cv, **values):
@@ -22,50 +18,6 @@ def law(code=LAW.cv, **values):
 
 def bench(n, m, rows=3):
     return bench_on(np.zeros(bench_space(n, m, rows)), n, m, rows)
-
-
-@pytest.mark.parametrize("code", [LAW.cv, LAW.av, LAW.ca, LAW.aa])
-def test_a_law(code):
-    rng = np.random.default_rng(code)
-    chain, rows, base, tip = arms.arm(rng, "tttsttt")
-    n, m, h = chain.n, 6, 0.02
-    p = make_serial(chain.rows, chain.ends, task(), n, orders())
-    q = 0.5 * rng.uniform(chain.lower, chain.upper) / chain.unit
-    p.aim(arms.fk(rows, base, tip, q * chain.unit)[0], orders())
-    look = p.evaluate(q)
-    p.jacobian(look)
-    s = bench(n, m)
-    s.J[:], s.at[:], s.floor[:], s.roof[:] = p.desk.J, q, -9e9, 9e9
-    s.e[:], s.ahead[:], s.f[:], s.a[:] = rng.normal(size=(4, m)) * 0.1
-    rate, memory = rng.normal(size=n), rng.normal(size=n)
-    old, state = memory.copy(), np.zeros(len(STATE))
-    state[STATE.start], state[STATE.period] = START.running, 0.04
-    rule = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=READING.at_rate_and_step)
-    limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 1e12), np.full(n, np.inf)])
-    settings = SimpleNamespace(counts=np.zeros((3, m)), limits=limits, wish=np.zeros((3, n)))
-    own = SimpleNamespace(
-        motion=np.array([q, rate]), memory=memory, away=np.zeros(n), basis=np.zeros((m, m)), state=state
-    )
-    lost = command.by_law(rule, None, p, look, None, s, settings, own, command.Moment(0, h))
-    assert lost == 0.0 and state[STATE.near] == 0.0
-    J, f, ratio = p.desk.J, s.f, h / 0.04
-    pinv = np.linalg.pinv(J.T)
-    step, own = pinv @ s.ahead, rate - pinv @ (J.T @ rate)
-    bias = np.empty(m)
-    if code >= LAW.ca:
-        p.bending(look, rate, rate if code == LAW.ca else step / h + own, bias)
-    if code == LAW.cv:
-        u = pinv @ (f + 3.0 * s.e)
-        want = u + 0.5 * ratio * (u - old)
-    elif code == LAW.av:
-        u, want = old, step / h
-    elif code == LAW.ca:
-        u = pinv @ (s.a + 8.0 * (f - J.T @ rate) + 20.0 * s.e - bias) - 0.9 * own
-        want = rate + h * (u + 0.5 * ratio * (u - old))
-    else:
-        u, want = old, rate + h * ((step / h - rate + own) / (0.7 * h) - 0.5 / 0.7 * (pinv @ bias) - 0.9 * own)
-    np.testing.assert_allclose(s.x, want, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(memory, u, rtol=1e-7, atol=1e-7)
 
 
 def given(mode, roof=0.5, h=0.1, plane=None, want=None, mu=0.0):
@@ -110,29 +62,6 @@ def test_what_limits_make_of_the_rates_wanted():
     row = np.array([0.0, 0.1, 0.0, -0.9, 0.0, 0.0])  # the joint that the row holds most, whichever way
     held, x, code, _ = given(MODE.leave, 2.0, plane=(row, -1.0))
     assert held and code.tolist() == [0, 0, 0, BIT.row, 0, 0] and row @ x == pytest.approx(-1.0)
-
-
-@pytest.mark.parametrize("mode", [MODE.leave, MODE.direct])
-def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mode):
-    counted, problems = [], []
-    solve, equality = constrain_module.solve_levels, hierarchical_qp.equality
-    monkeypatch.setattr(hierarchical_qp, "equality", lambda *parts: counted.append(1) or equality(*parts))
-    monkeypatch.setattr(constrain_module, "solve_levels", lambda *parts: problems.append(1) or solve(*parts))
-    rng = np.random.default_rng(3)
-    first, second = [], []
-    for _ in range(30):
-        J, v = rng.normal(size=(7, 6)), rng.normal(size=6)
-        low, room = rng.uniform(-0.3, 0.1, 7), make_room(7, 6, 1)
-        ask = rng.choice([0.02, 1.0]) * v
-        asked = TaskRate(J, np.ones(6), ask, np.linalg.pinv(J.T) @ ask, np.zeros(7), np.ones(7), mode, 0.0, 0.0)
-        allowed = Allowed(low, low + 0.2, np.empty((1, 7)), np.empty(1), 0)
-        taken = StepTaken(np.empty(7), np.zeros(7, np.int8), np.zeros(1, np.int8))
-        for found in (first, second):
-            counted.clear(), problems.clear()
-            constrain(asked, allowed, room, taken)
-            found.append((len(problems), len(counted)))
-    assert {problems for problems, _ in first} == {1} and set(second) == {(1, 1)}
-    assert np.mean([iterations for _, iterations in first]) > 2.0
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels

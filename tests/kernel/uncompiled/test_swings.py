@@ -6,27 +6,6 @@ import pytest
 from ik_toolkit.servo.viability import BIT, CALMING, RateBox, calm, watch
 
 
-def test_joints_that_turn_back_often_swing():
-    swings, size = np.zeros((3, 2)), np.array([1.0, 2.0])
-
-    def turned(*x, h=0.01):
-        watch(swings, np.zeros(2), np.array(x), size, 1.0, h)
-        return swings[0].tolist()
-
-    assert turned(0.06, 0.0) == [0.0, 0.0]
-    assert turned(0.04, -0.1) == turned(-0.04, 1.0) == [0.0, 0.0], "slow, or no turn"
-    assert turned(-0.06, 0.0) == turned(0.0, 0.0) == [1.0, 0.0], "a turn, however slow on the way"
-    assert turned(0.2, 0.01) == [2.0, 0.0]
-    for _ in range(9):
-        turned(0.0, 0.0)
-    assert turned(0.0, -0.11) == [2.0, 1.0]
-    assert turned(0.0, 0.0) == [0.0, 1.0], "each row ends by itself"
-    for k in range(3):
-        assert turned(-((-1.0) ** k), 0.0)[0] == k + 1.0
-    assert turned(-1.0, 0.0, h=0.09)[0] > CALMING.reversals
-    assert turned(-1.0, 0.0, h=0.02)[0] == 0.0, "a swing ends later"
-
-
 @pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
 @pytest.mark.parametrize("h", [0.001, 0.004, 0.01, 0.03])
 def test_calmed_joints_turn_at_most_three_times_in_a_tenth_of_a_second(h, gamma):

@@ -1,7 +1,5 @@
 """Poses in between, solutions carried along poses, and the program over tracks of them."""
 
-import math
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -173,14 +171,3 @@ def test_the_program_over_tracks(seed):
                 one[first:][alive[first:]] if one.ndim > 1 else one,
                 other[first:][alive[first:]] if one.ndim > 1 else other,
             )
-
-
-def test_where_keys_begin():
-    keys = np.array([-1.0, 0.0, 0.0, 2.0, 9.0])
-    for low, place in ((-2.0, 0), (-1.0, 0), (-0.5, 1), (0.0, 1), (0.1, 3), (2.0, 3), (3.0, 4), (3.5, 4)):
-        assert shortest_path.window(keys, 4, low) == place
-    assert (
-        shortest_path.shortest_difference(4.0, 1.0) == pytest.approx(4.0 - 2 * math.pi)
-        and shortest_path.shortest_difference(4.0, 0.0) == 4.0
-    )
-    assert shortest_path.shortest_difference(-3.1, 1.0) == -3.1
