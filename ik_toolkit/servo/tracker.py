@@ -44,7 +44,7 @@ class Tracker(CopiesViews, ReadOnly):
             with acceleration limits).
         limits: Whether to keep position and speed limits, or narrower limits as in `ik.solve`. Joints outside are brought back.
         acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, too, but with cv, av and
-            solvers the rates jump at samples.
+            solvers the rates jump at samples (aad: by at most a sixth of limit x dt).
         on_limit: What gives way to limits. "direct": the tip falls behind, but moves towards its target; "leave": the error
             is the least possible now; "clip": each joint is clipped on its own, as in the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
