@@ -33,8 +33,8 @@ class GuardThresholds(NamedTuple):
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
     looks: int = 12
-    # shares of a step that are tried if the arm is at rest and the whole step is not allowed
-    parts: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64)
+    # If a step is not allowed, these shares of the way from the brake's end to the step's are tried.
+    parts: tuple[float, ...] = (1 / 2, 1 / 8, 1 / 64)
 
 
 GUARD = GuardThresholds()
@@ -202,19 +202,21 @@ class Guard:
         """
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
-    def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint values and rates (n,) after h [s] of the motion that replaces a refused step from (q, rate) to rate1.
+    def instead(
+        self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return joint values and rates (n,) after h [s] of what replaces a refused step from (q, rate) to (q1, rate1).
 
-        The arm brakes. From rest it takes a small part of the step if that is proven free; otherwise it could stand
-        still for ever.
+        The arm brakes, but only as hard as it has to: it takes the largest part of the step that is proven free. Limits that both
+        the step and the brake keep are kept by everything between them.
         """
         blocked = self.blocked
-        for part in GUARD.parts if not rate.any() else ():
-            small = part * rate1
-            q1 = q + h * self.gamma * small
-            if self._take(np.array([q, q1]), np.array([rate, small]), h):
+        braked, slower, _ = self._braking(q, rate, h)
+        for part in GUARD.parts:
+            near, slow = braked + part * (q1 - braked), slower + part * (rate1 - slower)
+            if self._take(np.array([q, near]), np.array([rate, slow]), h):
                 self.blocked = blocked
-                return q1, small
+                return near, slow
         self.blocked = blocked
         return self.brake(q, rate, h)
 
@@ -223,22 +225,29 @@ class Guard:
 
         The brake is the one that was proven free together with the last step taken.
         """
-        blocked, path = self.blocked, self._path
-        if path is None:  # The arm did not get here by a step that this guard proved, so there is no proven brake yet.
+        q1, rate1, self._left = self._braking(q, rate, h)
+        if self._path is not None:
+            self._moved(np.abs(q1 - q))
+        return q1, rate1
+
+    def _braking(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return where `brake` leads, (n,) and (n,), and the ratio of the rates then to those with which the brake began."""
+        blocked = self.blocked
+        if (
+            self._path is None
+        ):  # The arm did not get here by a step that this guard proved, so there is no proven brake yet.
             self._take(q[None], rate[None], h, anyway=True)
-            self.blocked, path = blocked, self._path
-        if path is None:
-            return q.copy(), np.zeros_like(q)
-        left, self._left = self._left, max(self._left - path.even * h, 0.0)
-        own = np.sign(rate) * np.maximum(np.abs(rate) - self._most * h, 0.0)
-        rate1 = np.where(path.alone, own, self._left * path.rate[-1])
-        before = np.where(path.alone, rate, left * path.rate[-1])
-        move = h * ((1.0 - self.gamma) * before + self.gamma * rate1)
-        self._moved(np.abs(move))
-        return q + move, rate1
+            self.blocked = blocked
+        if (path := self._path) is None:
+            return q.copy(), np.zeros_like(q), self._left
+        left = max(self._left - path.even * h, 0.0)
+        own = np.sign(rate) * np.maximum(np.abs(rate) - self.most * h, 0.0)
+        rate1 = np.where(path.alone, own, left * path.rate[-1])
+        before = np.where(path.alone, rate, self._left * path.rate[-1])
+        return q + h * ((1.0 - self.gamma) * before + self.gamma * rate1), rate1, left
 
     @property
-    def _most(self) -> np.ndarray:
+    def most(self) -> np.ndarray:
         """Largest change (n,) of joint rates per second that keeps the acceleration limits within a step."""
         return self.limits[LIMIT.acceleration] / bending(self.gamma)
 
@@ -291,7 +300,7 @@ class Guard:
         """
         q, rate = Q[-1], R[-1]
         lower, upper = self.limits[[LIMIT.lowest, LIMIT.highest]]
-        speed, most, late = np.abs(rate), self._most, max(self.late, h)
+        speed, most, late = np.abs(rate), self.most, max(self.late, h)
         with np.errstate(divide="ignore", invalid="ignore"):
             even = np.where(speed > 0.0, most / speed, np.inf).min()
             if even <= 0.0:

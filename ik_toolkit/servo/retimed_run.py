@@ -19,7 +19,7 @@ from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_search, path_samples, singular_sides, targets_at
 from .singular_step import WEAK
 from .tracker import Tracker
-from .viability import BIT
+from .viability import BIT, bending
 from .workspace import START, STATE, Samples, new_record, samples_from
 
 
@@ -282,8 +282,8 @@ class Run:
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        more = RETIME.joints**over if self.redundant else 1.0
-        speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share * limits[LIMIT.acceleration]
+        more, peak = RETIME.joints**over if self.redundant else 1.0, bending(self.tracker.engine.gamma)
+        speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share / peak * limits[LIMIT.acceleration]
         # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])

@@ -44,7 +44,7 @@ class Tracker(CopiesViews, ReadOnly):
             with acceleration limits).
         limits: Whether to keep position and speed limits, or narrower limits as in `ik.solve`. Joints outside are brought back.
         acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, too, but with cv, av and
-            solvers the rates jump at samples.
+            solvers the rates jump at samples (aad: by at most a sixth of limit x dt).
         on_limit: What gives way to limits. "direct": the tip falls behind, but moves towards its target; "leave": the error
             is the least possible now; "clip": each joint is clipped on its own, as in the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
@@ -379,12 +379,13 @@ class Tracker(CopiesViews, ReadOnly):
         if not done or guard.allows(q, out.R[0] * unit, next_q, next_rate, h):
             return done
         self.put_back(before)
-        self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
+        self._carried.motion[:] = guard.instead(q, rate, next_q, next_rate, h) / self._units
         move = (self._q - q / unit) / h
         watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
         state, at = self._state, STATE
         state[at.start], state[at.free] = START.ready, 0.0
         self._carried.memory[:], self._between = 0.0, guard.blocked
         self._end(self.stream.last_of(samples), h, out, **how)
-        out.C[0] = np.where(self._rate == 0.0, BIT.row, BIT.row | BIT.acceleration) | (BIT.held if brake else 0)
+        hard = np.isclose(np.abs(self._rate * unit - rate), h * guard.most)
+        out.C[0] = np.where(hard, BIT.row | BIT.acceleration, BIT.row) | (BIT.held if brake else 0)
         return 1

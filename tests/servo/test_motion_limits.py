@@ -207,6 +207,28 @@ def test_limits_are_in_the_units_of_the_loop_and_change_only_where_they_are_give
         changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), "lower": arm.upper + 0.1})
 
 
+@pytest.mark.parametrize(
+    ("method", "second", "cubic", "jump"), [("ca", 1, 1, 0), ("aa", 1, 1, 0), ("aad", 5 / 6, 4 / 3, 1 / 6)]
+)
+def test_accelerations_between_samples_are_what_the_guide_says(method, second, cubic, jump):
+    """Second differences of q, a cubic through q and rate, and a parabola from q and rate to the next q, in full steps."""
+    robot, h, most = ik.Robot.load("hydrolek_7w"), 0.01, 2.0
+    tracker = ik.Tracker(robot, method, acceleration_limits=most)
+    target, Q, V = robot.fk(robot.home).homogeneous, [robot.home], [np.zeros(robot.n)]
+    for k in range(200):
+        target[:3, 3] += 0.01 * np.array([np.sin(k / 7), np.cos(k / 5), np.sin(k / 3)])
+        step = tracker.update(target, h)
+        Q.append(step.q)
+        V.append(step.rate)
+    mean, before, after = np.diff(Q, axis=0) / h, np.array(V[:-1]), np.array(V[1:])
+    ends = 6.0 * mean - 4.0 * before - 2.0 * after, 6.0 * mean - 2.0 * before - 4.0 * after
+    unit = most * h
+    assert np.abs(np.diff(mean, axis=0)).max() == pytest.approx(second * unit)
+    assert np.abs(ends).max() == pytest.approx(cubic * unit)
+    assert np.abs(2.0 * (mean - before)).max() == pytest.approx(unit)
+    assert np.abs(2.0 * mean - before - after).max() == pytest.approx(jump * unit, rel=1e-6, abs=1e-12)
+
+
 @pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
 @pytest.mark.parametrize(("method", "acceleration", "most"), [("cv", None, 0.1), ("aad", None, 0.2), ("cv", 10.0, 0.3)])
 def test_a_target_too_fast_for_the_joints_is_followed_straight(method, acceleration, most):

@@ -222,9 +222,7 @@ def test_a_brake_is_that_of_the_limits():
         Q, R, L = (np.empty((60, 2)) for _ in range(3))
         Q[0], R[0] = (0.0, 1.0), (0.5, -1.0)
         count = brake(0, gamma, 0.01, 0.01, limits, Q, R, L)
-        fall = 0.02 / max(
-            2.0 * gamma if gamma < 1.0 else 1.0, 1.0
-        )  # between samples it brakes harder then, see servo/viability.py
+        fall = 0.02 / max(2.0 * gamma if gamma < 1.0 else 1.0, 1.0)  # the acceleration limit holds between samples
         assert count in (round(0.5 / fall), round(0.5 / fall) + 1)  # by rounding
         assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - fall * np.arange(count + 1), 0.0)) and not R[count].any()
         assert np.allclose(L[: count + 1], np.abs(Q[: count + 1] - Q[0]), atol=0.001)
@@ -309,6 +307,16 @@ def test_what_is_far_changes_nothing():
     assert np.array_equal(plain.q, careful.q) and plain.status is careful.status
 
 
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+def test_near_its_own_links_the_arm_slows_down_and_does_not_stop_and_go():
+    robot = ik.Robot.load("ur5")
+    tracker = ik.Tracker(robot, "ca", avoid_collisions=ik.CollisionModel(robot, margin=0.05))
+    steps = [tracker.update(robot.fk([2.78, -5.3, -1.2, 0.78, 5.87, -3.48]), 0.02) for _ in range(90)]
+    assert sum(one.between is not None for one in steps) > 20
+    assert min(np.abs(one.rate / robot.velocity_limits).max() for one in steps) > 0.1
+    assert not any(one.status is StepStatus.BLOCKED or "acceleration" in one.reason for one in steps)
+
+
 @pytest.mark.parametrize("on_limit", ["slow", "leave", "clip"])
 def test_a_run_stops_before_what_is_in_its_way(on_limit):
     robot = load("hydrolek_7w")
@@ -385,7 +393,7 @@ def test_nothing_is_left_to_compile_in_a_control_loop(method, monkeypatch):
         else:
             refused += 1
             before = q
-            q, rate = guard.instead(q, rate, wanted, h)
+            q, rate = guard.instead(q, rate, q1, wanted, h)
             if guard.gamma == 1.0:
                 np.testing.assert_allclose(rate, (q - before) / h, atol=1e-12)
     assert refused and {key[0] for key in known} == {"along", "levers", "rows", "free_until"}

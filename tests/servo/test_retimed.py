@@ -56,6 +56,18 @@ def test_a_fast_line_in_few_samples_takes_hardly_longer():
     assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_speeds(robot, run)
 
 
+@pytest.mark.parametrize("method", ["ca", "aa", "aad"])
+def test_methods_of_accelerations_take_about_as_long_as_cv(method):
+    """With aad, rates change by at most 1 / (2 gamma) of the limit, so a motion from rest takes sqrt(1.2) = 1.095 times as long."""
+    robot = ik.Robot.load("planar_3r")
+    q0, q1 = [-0.594, 0.085, 0.375], [-0.171, 0.262, 0.386]
+    line = ik.line(robot.fk(q0).homogeneous, robot.fk(q1).homogeneous, duration=2.0, law="minimum-jerk")
+    run, plain = (ik.track(robot, line, name, q0=q0, acceleration_limits=1.0) for name in (method, "cv"))
+    assert run.status.name == plain.status.name == "SLOWED"
+    assert run.t[-1] < 1.1 * plain.t[-1]
+    assert np.abs(np.diff(run.rate, axis=0)).max() <= run.dt * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("law", ["minimum-jerk", "constant"])
 def test_a_clock_that_nearly_stands_still_asks_for_no_terabytes(law):
     """Four joints lead the tip to where it can only creep; the time law of this run was 1e8 to 1e13 steps long."""
