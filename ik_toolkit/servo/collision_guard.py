@@ -233,9 +233,8 @@ class Guard:
     def _braking(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Return where `brake` leads, (n,) and (n,), and the ratio of the rates then to those with which the brake began."""
         blocked = self.blocked
-        if (
-            self._path is None
-        ):  # The arm did not get here by a step that this guard proved, so there is no proven brake yet.
+        # If the arm did not get here by a step that this guard proved, there is no proven brake yet.
+        if self._path is None:
             self._take(q[None], rate[None], h, anyway=True)
             self.blocked = blocked
         if (path := self._path) is None:
