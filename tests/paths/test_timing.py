@@ -155,7 +155,7 @@ def test_what_is_missing_is_said():
     with pytest.raises(InvalidOption, match="seed"):
         result.retime(1.0, 1.0, seed="one")
     for write in (result.save, made.to_csv, made.to_json):
-        with pytest.raises(InvalidOption, match="path must be the path of a file, not 3"):
+        with pytest.raises(InvalidOption, match="must be the path of a file, not 3"):
             write(3)
     with pytest.raises(InvalidOption, match="must be positive"):
         result.retime(1.0, -1.0)

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from references import Q0, panda_reference
 
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.servo.methods import make_method
 from ik_toolkit.servo.run import track
@@ -125,7 +125,9 @@ def test_mistakes_in_the_loop_are_typed(panda):
     tracker = Tracker(panda, q0=Q0)
     with pytest.raises(InvalidTarget, match="not shape"):
         tracker.update(np.zeros(4), 0.01)
-    for target in ("home", None, {"tip": np.eye(4)}, [[1, 2], [3]], object()):
+    with pytest.raises(FrameNotFound, match="'tip' is not one of the tips"):
+        tracker.update({"tip": np.eye(4)}, 0.01)
+    for target in ("home", None, [[1, 2], [3]], object()):
         with pytest.raises(InvalidTarget, match=r"4x4 pose or a position|fields of a ROS message"):
             tracker.update(target, 0.01)
     tracker.update(panda.fk(Q0), 0.01)

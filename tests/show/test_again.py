@@ -358,7 +358,7 @@ def test_screenshots_and_recordings_are_files(arm, tmp_path):
             scene.screenshot(**bad)
     with pytest.raises(InvalidOption, match="pictures must be a whole number"):
         scene.record(tmp_path / "a.gif", pictures=0)
-    with pytest.raises(InvalidOption, match=r"written as \.gif or \.mp4, not '\.webm'"):
+    with pytest.raises(InvalidOption, match=r"written as \.gif or \.mp4, not 'a.webm'"):
         scene.record(tmp_path / "a.webm")
 
 

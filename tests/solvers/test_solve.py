@@ -56,7 +56,7 @@ def test_names_classes_and_instances_mean_the_same():
         (dict(solver=1), errors.UnknownSolver, "a name, a rule class or an instance of one, not 1. Available: lm,"),
         (dict(TOLERANCE=1e-3), errors.InvalidOption, "Did you mean 'tolerance'"),
         (dict(tolerence=1e-3), errors.InvalidOption, "Did you mean 'tolerance'"),
-        (dict(tolerance="small"), errors.InvalidOption, "position_tolerance"),
+        (dict(tolerance="small"), errors.InvalidOption, "tolerance must be a number"),
         (dict(tolerance=-1), errors.InvalidOption, "between"),
         (dict(tolerance=math.nan), errors.InvalidOption, "between"),
         (dict(max_iterations=2.5), errors.InvalidOption, "whole number"),
