@@ -101,7 +101,10 @@ class PathResult:
 
     @property
     def clearance(self) -> float | None:
-        """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked."""
+        """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked.
+
+        The free motion of a reconfiguration is not on the path: `Trajectory.clearance` of `retime` covers it, too.
+        """
         return self.continuity.clearance
 
     @property
@@ -248,7 +251,7 @@ class PathResult:
             ("length", f"{turn:.4g} rad" + (f" and {slide:.4g} m" if slide else "")),
             ("largest step", angle(step) + (f" and {length(shift)}" if shift else "")),
             ("off the path at most", f"{length(off)} and {angle(tilt)}"),
-            ("clearance at least", None if self.clearance is None else length(self.clearance)),
+            ("clearance on the path at least", None if self.clearance is None else length(self.clearance)),
             ("time of the search", duration(self.elapsed)),
         ]
         how = "ik.plot(result) draws joints and bounds, ik.view(robot, result) shows the motion."

@@ -15,7 +15,7 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..text import duration, figure
 from ..validate import positive
-from .contact import connect
+from .contact import clearance_along, connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
@@ -54,6 +54,7 @@ def retime(
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
             made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
+            clearance = min(clearance, clearance_along(result.collision, way))
         for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
             if j and piece.duration:
                 stops.append(float(places[rows.start]))
@@ -66,6 +67,7 @@ def retime(
             made.append(piece._replace(at=np.interp(piece.at, result.at[run], places[run])))
     if not made:  # A path of a single pose has no motion.
         made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
+        clearance = clearance_along(result.collision, result.curve[:1])
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
@@ -93,6 +95,7 @@ def through(
     if not len(rows):
         raise InvalidOption("there is no configuration to go through")
     made, missing = [_straight(rows[0], rows[0], np.zeros(2), limits)], ""
+    clearance = clearance_along(collision, rows[:1])
     for k, (a, b) in enumerate(itertools.pairwise(rows)):
         way = connect(robot, collision, a, b, 0)
         if way is None:
@@ -100,10 +103,12 @@ def through(
             break
         places = np.linspace(k, k + 1, len(way))
         made += [_straight(way[i], way[i + 1], places[i : i + 2], limits) for i in range(len(way) - 1)]
+        clearance = min(clearance, clearance_along(collision, way))
     pieces, t = _instants(made, rate)
     message = missing or f"all {len(rows)} configurations are passed in {duration(float(t[-1]), 4)}"
+    safe = None if collision is None else clearance
     return Trajectory(
-        robot, t, *sample(pieces, t), not missing, message, *limits, (0.0, 0.0), None, pieces, collision
+        robot, t, *sample(pieces, t), not missing, message, *limits, (0.0, 0.0), safe, pieces, collision
     )  # fmt: skip
 
 
