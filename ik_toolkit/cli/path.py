@@ -47,7 +47,7 @@ class PathOptions:
         "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
     )
     tip_speed: float | None = option(
-        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow."
+        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow and exceeded nowhere."
     )
     path_tolerance_mm: float | None = option(
         "MM",

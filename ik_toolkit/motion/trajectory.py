@@ -70,7 +70,8 @@ class Trajectory:
     path; clearance [m]: proven least distance of any two parts during the whole motion (0: not proven; None: collisions were not
     checked). pieces: the motion itself, each piece from rest to rest. robot: the robot that moves; collision: the CollisionModel it
     keeps clear of, or None. stops: the positions on the path at which the robot stops because no smooth curve was found there.
-    slower: the ranges of positions (from, to) where joint limits keep the tip below the requested tip speed.
+    slower: the ranges of positions (from, to) on the path where joint limits keep the tip below the requested tip speed, which it
+    does not exceed in free motions either.
     """
 
     robot: Any

@@ -227,7 +227,8 @@ class PathResult:
             path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the
                 path_tolerance given to `solve_path`. If none was given, it is the larger of the default of `solve_path`
                 and the chord's sagitta, which is how far an arc through the poses leaves the chord.
-            tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (see `Trajectory.slower`).
+            tip_speed: speed [m/s] of the fastest tip, kept on the path wherever the limits allow (see `Trajectory.slower`), and
+                exceeded nowhere, not in the free motion of a reconfiguration either.
 
         Returns:
             The sampled motion.

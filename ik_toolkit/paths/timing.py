@@ -53,7 +53,7 @@ def retime(
                 pose = int(places[run.start])
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
-            made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
+            made += [_line(robot, ends, NOWHERE, limits, asked) for ends in itertools.pairwise(way)]
             clearance = min(clearance, clearance_along(result.collision, way))
         for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
             if j and piece.duration:
@@ -188,14 +188,7 @@ def _pieces(
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
     rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
-    made: list[tuple[Curve | None, Piece, slice]] = []
-    for two in rows:
-        a, b = result.curve[two]
-        line = _straight(a, b, result.at[two], limits)
-        if line.duration and tip_speed < math.inf:
-            line = _fastest(line, plan.robot, limits, tip_speed)
-        made.append((None, line, two))
-    return made
+    return [(None, _line(plan.robot, result.curve[two], result.at[two], limits, tip_speed), two) for two in rows]
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -212,7 +205,7 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
 def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[tuple[float, float], ...], str]:
     """Return the ranges of the path (first, last position) where the fastest tip is slower than `asked` [m/s], and a text on them.
 
-    Free motions between two branches of solutions are left out.
+    Free motions between two branches of solutions, in which the tip is not faster, are left out.
     """
     found: list[tuple[float, float]] = []
     fastest = 0.0
@@ -227,8 +220,11 @@ def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple
             found.append((float(places[max(a - 1, 0)]), float(places[min(b, len(places) - 1)])))
     if fastest < KEPT * asked:
         return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
+    where = " on the path" if any(np.isnan(piece.at).any() for piece in pieces) else ""
     ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
-    return tuple(found), f"; the tip keeps {asked:.4g} m/s" + (f" except from pose {_listed(ranges)}" if found else "")
+    return tuple(found), f"; the tip keeps {asked:.4g} m/s{where}" + (
+        f" except from pose {_listed(ranges)}" if found else ""
+    )
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -325,6 +321,12 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     speeds = np.abs([dq0, dq1, *(one[0] for one in inside)]) / limits[0]
     gains = np.abs([first, last, *(one[1] for one in inside)]) / limits[1]
     return np.maximum(1.0, (1.0 + ROUNDED) * np.maximum(speeds, np.sqrt(gains)).max(axis=(0, 2)))
+
+
+def _line(robot: Joints, ends: Any, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Return the motion of `_straight` between two ends (n,), with no tip faster than `tip_speed` [m/s] (infinite: none is asked)."""
+    line = _straight(*ends, at, limits)
+    return _fastest(line, robot, limits, tip_speed) if line.duration and tip_speed < math.inf else line
 
 
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
