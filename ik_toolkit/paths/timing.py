@@ -324,8 +324,9 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def _line(robot: Joints, ends: Any, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
-    """Return the motion of `_straight` between two ends (n,), with no tip faster than `tip_speed` [m/s] (infinite: none is asked)."""
-    line = _straight(*ends, at, limits)
+    """Return the motion of `_straight` between two ends (n,), with no tip faster than `tip_speed` [m/s] (may be infinite)."""
+    start, end = ends
+    line = _straight(start, end, at, limits)
     return _fastest(line, robot, limits, tip_speed) if line.duration and tip_speed < math.inf else line
 
 
