@@ -77,6 +77,7 @@ function show(to, found = null) {
   if (!found) follow(shown.tips);
   [$("turn").checked, $("first").checked, $("first").disabled] = [targets[chosen].turn, targets[chosen].first, !targets[chosen].turn];
   $("null").disabled = !loose(robot, q, targets);
+  if (!held) camera.seek([...targets.map(({ T }) => T), ...shown.tips].map((T) => moved(shown.base, point(T))));
   for (const step of [...bars, tell, paint]) step();
   return true;
 }
@@ -151,12 +152,10 @@ canvas.onpointermove = ({ pointerId, offsetX, offsetY, pointerType, shiftKey }) 
   }
 };
 canvas.onpointerup = canvas.onpointercancel = ({ pointerId }) => {
-  const dropped = held;
+  const next = !held ? paint : result && !result.good ? reach : () => show(q, result);
   held = null;
   pointers.delete(pointerId);
-  if (dropped) camera.seek(point(grip(targets[dropped.tip], 0).T));
-  if (dropped && result && !result.good) reach();
-  else paint();
+  next();
 };
 canvas.onwheel = (event) => { event.preventDefault(); camera.zoom(Math.exp(0.001 * event.deltaY)); paint(); };
 $("solver").onchange = () => reach();
