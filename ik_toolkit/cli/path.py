@@ -48,7 +48,7 @@ class PathOptions:
         "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
     )
     tip_speed: float | None = option(
-        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow."
+        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow and exceeded nowhere."
     )
     path_tolerance_mm: float | None = option(
         "MM",
@@ -201,7 +201,8 @@ def _show(result: Any, made: Any) -> None:
     step, glide = result.largest_step
     off, tilt = result.deviation
     slides = "prismatic" in result.robot.joint_kinds
-    clearance = result.clearance
+    clearance, kept = result.clearance, None if made is None else made.clearance
+    safe = "" if kept is None else f", clearance at least {length(kept)}"
     bound = result.lower_bound
     changes = "none" if not result.reconfigurations else str(len(result.reconfigurations))
     if result.reconfigurations and bound is not None:
@@ -213,8 +214,8 @@ def _show(result: Any, made: Any) -> None:
         "length": f"{figure(turn, 4)} rad" + (f" and {length(slide, 4)}" if slides else ""),
         "largest step": angle(step) + (f" and {length(glide)}" if slides else ""),
         "between poses": f"off by {length(off)} and {angle(tilt)} at most (a bound)",
-        "clearance": None if clearance is None else f"at least {length(clearance)}",
-        "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples",
+        "clearance": None if clearance is None else f"at least {length(clearance)} on the path",
+        "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples{safe}",
         "computed in": duration(result.elapsed),
     })  # fmt: skip
     if result.reconfigurations:

@@ -66,10 +66,12 @@ class Trajectory:
     t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,): position on
     the path (3.5: halfway from pose 3 to pose 4), NaN while the robot changes from one branch of solutions to another; success;
     message: a sentence, which says why if the motion ends early. velocity, acceleration (n,): the joint limits, which hold at every
-    instant, not only at the samples. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
-    PathResult. pieces: the motion itself, each piece from rest to rest. robot: the robot that moves; collision: the CollisionModel
-    it keeps clear of, or None. stops: the positions on the path at which the robot stops because no smooth curve was found there.
-    slower: the ranges of positions (from, to) where joint limits keep the tip below the requested tip speed.
+    instant, not only at the samples. deviation (m, rad): bound on how far a tip leaves the interpolated poses while it is on the
+    path; clearance [m]: proven least distance of any two parts during the whole motion (0: not proven; None: collisions were not
+    checked). pieces: the motion itself, each piece from rest to rest. robot: the robot that moves; collision: the CollisionModel it
+    keeps clear of, or None. stops: the positions on the path at which the robot stops because no smooth curve was found there.
+    slower: the ranges of positions (from, to) on the path where joint limits keep the tip below the requested tip speed, which it
+    does not exceed in free motions either.
     """
 
     robot: Any

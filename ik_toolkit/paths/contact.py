@@ -9,6 +9,8 @@ other, get a small margin.
 `connect` plans a collision-free motion between two configurations by RRT-Connect.
 """
 
+import heapq
+import itertools
 import math
 import time
 from typing import Any, NamedTuple
@@ -192,6 +194,40 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
         if on:
             least = min(least, float((0.5 * (before + known - used[k - 1] - aside[k - 1])).min(initial=math.inf)))
     return max(least, 0.0)
+
+
+def clearance_along(collision: Any, way: np.ndarray) -> float:
+    """Return the proven least distance [m] of any two parts along the straight joint moves through the corners `way` (K, n).
+
+    The part of the motion with the lowest bound (see `_distance_kept`) is halved until that is within a tenth of the least distance
+    measured, or for 2000 parts. collision: a CollisionModel, or None, for which the distance is infinite.
+    """
+    if collision is None:
+        return math.inf
+    kept, _, _ = find_contacts(collision, way, np.arange(float(len(way))), np.ones(len(way) - 1, dtype=bool))
+    space, arms = Clearance(collision), _arms(collision, np.abs(way).max(axis=0))
+
+    def measured(q: np.ndarray) -> np.ndarray:
+        space.place(q)
+        return space.distances()
+
+    def part(*ends: Any) -> tuple[float, int, Any]:
+        (a, first), (b, last) = ends
+        bound = 0.5 * (first + last - np.abs(b - a) @ arms)
+        return float(bound.min(initial=math.inf)), next(number), ends
+
+    number, rows = itertools.count(), [(q, measured(q)) for q in way]
+    least = min(float(distances.min(initial=math.inf)) for _, distances in rows)
+    parts = [part(*two) for two in itertools.pairwise(rows)]
+    heapq.heapify(parts)
+    while parts and parts[0][0] < 0.9 * least and parts[0][1] < 2000:
+        _, _, (a, b) = heapq.heappop(parts)
+        middle = 0.5 * (a[0] + b[0])
+        between = middle, measured(middle)
+        least = min(least, float(between[1].min(initial=math.inf)))
+        heapq.heappush(parts, part(a, between))
+        heapq.heappush(parts, part(between, b))
+    return max(kept, min([least, *(bound for bound, _, _ in parts[:1])]))
 
 
 class _SegmentCheck(NamedTuple):

@@ -101,7 +101,10 @@ class PathResult:
 
     @property
     def clearance(self) -> float | None:
-        """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked."""
+        """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked.
+
+        The free motion of a reconfiguration is not on the path: `Trajectory.clearance` of `retime` covers it, too.
+        """
         return self.continuity.clearance
 
     @property
@@ -221,7 +224,8 @@ class PathResult:
             path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the
                 path_tolerance given to `solve_path`. If none was given, it is the larger of the default of `solve_path`
                 and the chord's sagitta, which is how far an arc through the poses leaves the chord.
-            tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (see `Trajectory.slower`).
+            tip_speed: speed [m/s] of the fastest tip, kept on the path wherever the limits allow (see `Trajectory.slower`), and
+                exceeded nowhere, not in the free motion of a reconfiguration either.
 
         Returns:
             The sampled motion.
@@ -245,7 +249,7 @@ class PathResult:
             ("length", f"{turn:.4g} rad" + (f" and {slide:.4g} m" if slide else "")),
             ("largest step", angle(step) + (f" and {length(shift)}" if shift else "")),
             ("off the path at most", f"{length(off)} and {angle(tilt)}"),
-            ("clearance at least", None if self.clearance is None else length(self.clearance)),
+            ("clearance on the path at least", None if self.clearance is None else length(self.clearance)),
             ("time of the search", duration(self.elapsed)),
         ]
         how = "ik.plot(result) draws joints and bounds, ik.view(robot, result) shows the motion."

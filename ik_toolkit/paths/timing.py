@@ -15,7 +15,7 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..text import duration, figure
 from ..validate import positive
-from .contact import connect
+from .contact import clearance_along, connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
@@ -53,7 +53,8 @@ def retime(
                 pose = int(places[run.start])
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
-            made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
+            made += [_line(robot, ends, NOWHERE, limits, asked) for ends in itertools.pairwise(way)]
+            clearance = min(clearance, clearance_along(result.collision, way))
         for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
             if j and piece.duration:
                 stops.append(float(places[rows.start]))
@@ -66,6 +67,7 @@ def retime(
             made.append(piece._replace(at=np.interp(piece.at, result.at[run], places[run])))
     if not made:  # A path of a single pose has no motion.
         made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
+        clearance = clearance_along(result.collision, result.curve[:1])
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
@@ -93,6 +95,7 @@ def through(
     if not len(rows):
         raise InvalidOption("there is no configuration to go through")
     made, missing = [_straight(rows[0], rows[0], np.zeros(2), limits)], ""
+    clearance = clearance_along(collision, rows[:1])
     for k, (a, b) in enumerate(itertools.pairwise(rows)):
         way = connect(robot, collision, a, b, 0)
         if way is None:
@@ -100,10 +103,12 @@ def through(
             break
         places = np.linspace(k, k + 1, len(way))
         made += [_straight(way[i], way[i + 1], places[i : i + 2], limits) for i in range(len(way) - 1)]
+        clearance = min(clearance, clearance_along(collision, way))
     pieces, t = _instants(made, rate)
     message = missing or f"all {len(rows)} configurations are passed in {duration(float(t[-1]), 4)}"
+    safe = None if collision is None else clearance
     return Trajectory(
-        robot, t, *sample(pieces, t), not missing, message, *limits, (0.0, 0.0), None, pieces, collision
+        robot, t, *sample(pieces, t), not missing, message, *limits, (0.0, 0.0), safe, pieces, collision
     )  # fmt: skip
 
 
@@ -183,14 +188,7 @@ def _pieces(
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
     rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
-    made: list[tuple[Curve | None, Piece, slice]] = []
-    for two in rows:
-        a, b = result.curve[two]
-        line = _straight(a, b, result.at[two], limits)
-        if line.duration and tip_speed < math.inf:
-            line = _fastest(line, plan.robot, limits, tip_speed)
-        made.append((None, line, two))
-    return made
+    return [(None, _line(plan.robot, result.curve[two], result.at[two], limits, tip_speed), two) for two in rows]
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -207,7 +205,7 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
 def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[tuple[float, float], ...], str]:
     """Return the ranges of the path (first, last position) where the fastest tip is slower than `asked` [m/s], and a text on them.
 
-    Free motions between two branches of solutions are left out.
+    Free motions between two branches of solutions, in which the tip is not faster, are left out.
     """
     found: list[tuple[float, float]] = []
     fastest = 0.0
@@ -222,8 +220,11 @@ def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple
             found.append((float(places[max(a - 1, 0)]), float(places[min(b, len(places) - 1)])))
     if fastest < KEPT * asked:
         return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
+    where = " on the path" if any(np.isnan(piece.at).any() for piece in pieces) else ""
     ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
-    return tuple(found), f"; the tip keeps {asked:.4g} m/s" + (f" except from pose {_listed(ranges)}" if found else "")
+    return tuple(found), f"; the tip keeps {asked:.4g} m/s{where}" + (
+        f" except from pose {_listed(ranges)}" if found else ""
+    )
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -320,6 +321,13 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     speeds = np.abs([dq0, dq1, *(one[0] for one in inside)]) / limits[0]
     gains = np.abs([first, last, *(one[1] for one in inside)]) / limits[1]
     return np.maximum(1.0, (1.0 + ROUNDED) * np.maximum(speeds, np.sqrt(gains)).max(axis=(0, 2)))
+
+
+def _line(robot: Joints, ends: Any, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Return the motion of `_straight` between two ends (n,), with no tip faster than `tip_speed` [m/s] (may be infinite)."""
+    start, end = ends
+    line = _straight(start, end, at, limits)
+    return _fastest(line, robot, limits, tip_speed) if line.duration and tip_speed < math.inf else line
 
 
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:

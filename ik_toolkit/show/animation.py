@@ -17,7 +17,7 @@ from ..robot.ros import is_by_name
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
 from ..text import figure, length
-from .body import GREY, drawn_shape
+from .body import GREY, drawn_shape, tube
 from .feed import ROOT
 from .plots import drawing, iterates
 from .scene_state import css
@@ -263,7 +263,8 @@ def _coloured(
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
-        scene._trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+        P = scene._world(points[start:last])
+        scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]]), P)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures

@@ -27,10 +27,8 @@ class Interaction:
             one(target, q0)  # compiles, so that the displayed time does not include it
         self.follow(target)
         scene.on_drag(self.follow)
-        scene.look()
-        eye, to, *rest = scene.window.about["camera"]
-        away = [b + 1.5 * (a - b) for a, b in zip(eye, to, strict=True)]  # there must be room to drag
-        scene.window.say(camera=[away, to, *rest])
+        eye, to = np.array(scene.window.about["camera"][:2])
+        scene.look((to + 1.5 * (eye - to)).tolist(), to.tolist())  # there must be room to drag
 
     def follow(self, target: Any) -> None:
         """Solve for a target, and show the answers: the first solver's as the robot, the others' as translucent copies."""

@@ -84,12 +84,10 @@ class InCell(SceneState):
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         """Return the outputs of a cell: the scene as HTML, which is kept in the saved notebook, a picture, and text."""
-        if self.window.about["camera"] is None:
-            self.look()
-        self._inline = self.channel is None
+        window, self._inline = self._aimed(), self.channel is None
         if self.channel is not None:
             self.channel.display()
-        return scene_bundle(self.window, repr(self), self.channel)
+        return scene_bundle(window, repr(self), self.channel)
 
     def __repr__(self) -> str:
         """Describe the scene in a line."""

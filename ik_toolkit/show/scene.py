@@ -17,7 +17,7 @@ from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, mapped, primitive, revolved, standing, tube
 from .feed import Guest
-from .meshcat_server import Cloud, Window, write_page
+from .meshcat_server import Cloud, write_page
 from .notebook import InCell, PageInCell
 from .scene_state import Color, css, read_color, read_labels, read_opacity, read_text
 
@@ -37,8 +37,8 @@ class Scene(InCell):
     def update(self, what: Any, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
         """Show another configuration or result, as `view` does; robot, tips, target, caption and drawings of a result are replaced.
 
-        A target or a cloud that is not given stays, and so do the camera and what was added by name. Invalid input raises, as in
-        `view`, and changes nothing.
+        A target or a cloud that is not given stays, and so does what was added by name, and the camera, unless a tip or the target
+        would be outside the picture. Invalid input raises, as in `view`, and changes nothing.
         """
         rows, motion = animation.shown_rows(self.robot, what)
         given = {} if target is None else animation.each_target(self.robot, target)
@@ -83,6 +83,7 @@ class Scene(InCell):
             if cloud is not None:
                 self.cloud(points, success)
         self._captioned = self.window.about["lines"] is not lines
+        self._follow(rows[0])
 
     def _size(self, name: str, share: float) -> float:
         """Return the size [m] of a drawn frame, or for a new one a share of the scene's."""
@@ -115,9 +116,12 @@ class Scene(InCell):
             for k, T in enumerate(self.body.tips(q)):
                 if numbered("tip", k) in self.window.transforms:
                     self.window.place(numbered("tip", k), T)
+                    self._boxes[numbered("tip", k)] = T[None, :3, 3].repeat(2, axis=0)
         elif name not in self._placed and name in self._boxes:
             self._drop(name)
         self._put(name, self._poses(name, q[None]), look)
+        if name == "robot":
+            self._follow(q)
         if label:
             self._say(name, (css(self._looks[name][0] or SLATE), label))
 
@@ -215,12 +219,9 @@ class Scene(InCell):
         self, points: Any, name: str = "trail", color: Color = ORANGE, radius: float | None = None, label: str = ""
     ) -> None:
         """Draw the path of a tip through points (N, 3) [m]."""
-        self._trail(points, read_text(name, "name"), color, radius, label)
-
-    def _trail(self, points: Any, name: str, color: Any, radius: float | None, label: str = "") -> None:
         P, color, label = self._world(points), read_color(color) or ORANGE, read_text(label, "label")
         wide = 0.005 * self._extent() if radius is None else positive(radius, "radius")
-        self._draw(name, tube(P, wide, color), P, (css(color), label))
+        self._draw(read_text(name, "name"), tube(P, wide, color), P, (css(color), label))
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
         """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
@@ -304,11 +305,6 @@ class Scene(InCell):
         """
         return animation.write_pictures(path, self._aimed(), size, whole(pictures, "pictures", 2))
 
-    def _aimed(self) -> Window:
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window
-
     def page(self, path: str | Path | None = None) -> Any:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
@@ -381,10 +377,8 @@ def view(
         MissingExtra: meshcat or trimesh is not installed.
     """
     scene = Scene(robot, title)
-    cells = what if hasattr(what, "manipulability") and hasattr(what, "grid") else None
-    scene.update(
-        robot.home if what is None or cells is not None else what, target=target, cloud=cloud, obstacles=obstacles
-    )
+    cells, what = (what, None) if hasattr(what, "manipulability") and hasattr(what, "grid") else (None, what)
+    scene.update(robot.home if what is None else what, target=target, cloud=cloud, obstacles=obstacles)
     if cells is not None:
         from .reach_pictures import draw_cells  # imported when needed: it loads the solvers' studies
 

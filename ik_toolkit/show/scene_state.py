@@ -256,6 +256,27 @@ class SceneState(Unique):
         self._grid = [("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")]
         self._tell()
 
+    def _aimed(self) -> Window:
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window
+
+    def _follow(self, q: np.ndarray) -> None:
+        """Aim the camera anew, from the same side, if a tip of the robot at q (n,) or a target is outside a square picture.
+
+        It stays if it is not aimed yet, and while targets can be dragged, because it would move under the pointer.
+        """
+        about = self.window.about
+        if about["camera"] is None or "drag" in about:
+            return
+        eye, to = np.array(about["camera"][:2])
+        targets = [box for name, box in self._boxes.items() if name.startswith("target")]
+        seen, ahead = np.vstack([self.body.tips(q)[:, :3, 3], *targets]) - eye, (to - eye) / np.linalg.norm(to - eye)
+        # Half of the viewer's picture, which is 75 degrees high.
+        if (seen @ ahead < np.cos(np.radians(37.5)) * np.linalg.norm(seen, axis=1)).any():
+            low, high = self._box()
+            self.look((0.5 * (low + high) - 0.9 * np.linalg.norm(high - low) * ahead).tolist())
+
     # ---------------------------------------------------------------------------------------------- sizes and places
     def drawn(self) -> dict[str, np.ndarray]:
         """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""

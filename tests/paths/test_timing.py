@@ -132,8 +132,15 @@ def test_a_free_motion_goes_around_what_stands_between():
         [a + np.outer(np.linspace(-0.2, 0.0, 5), [1.0, 0.3]), b + np.outer(np.linspace(0.0, 0.2, 5), [1.0, 0.3])]
     )
     made = motions.as_result(robot, q, breaks=[4], collision=model, kind=KIND.position).retime(1.0, 1.0)
-    assert made.success and made.clearance > 0.0
-    assert not any(model.collides(row) for row in made.q)
+    assert made.success and not any(model.collides(row) for row in made.q)
+    slow = motions.as_result(robot, q, breaks=[4], collision=model, kind=KIND.position).retime(1.0, 1.0, tip_speed=0.05)
+    xyz = robot.chain.forward(slow.at(np.linspace(0.0, slow.duration, 20_001))[0])[0][:, :3, 3]
+    assert np.linalg.norm(np.diff(xyz, axis=0), axis=1).max() < 1.002 * 0.05 * slow.duration / 20_000
+    assert "the tip keeps 0.05 m/s on the path except from" in slow.message
+    alone = motions.as_result(robot, q[:1], collision=model, kind=KIND.position).retime(1.0, 1.0)
+    for motion in (made, through(robot, q[[0, -1]], 1.0, 1.0, collision=model), alone):
+        least = min(model.distance(row).distance for row in motion.at(np.linspace(0.0, motion.duration, 2000))[0])
+        assert 0.8 * least < motion.clearance < least + 1e-6
 
 
 def test_it_is_said_when_there_is_no_free_motion(monkeypatch):

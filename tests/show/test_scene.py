@@ -286,3 +286,13 @@ def test_a_target_far_away_does_not_shrink_the_picture():
     near, far = view(robot), view(robot, target=[50.0, 0.0, 0.0])
     assert np.allclose(near.window.about["camera"][0], far.window.about["camera"][0], atol=0.05)
     assert any("outside the picture" in label for _, label in far.window.about["legend"])
+    near.update(robot.home, [0.5, 0.1, 0.2])
+    assert near.window.about["camera"] == view(robot).window.about["camera"]  # it stays: all is in the picture
+    rail = ik.Robot.load("planar_2r", on_base="rail", base_limits=(0.0, 30.0))
+    scene, q = view(rail), np.add(rail.home, (25.0, 0.0, 0.0))
+    for change in (scene.show, scene.update):
+        change(q)
+        eye, to = np.array(scene.window.about["camera"][:2])
+        tip = rail.fk(q).translation
+        assert np.linalg.norm(np.cross(tip - eye, to - eye)) < np.tan(np.radians(37.5)) * (tip - eye) @ (to - eye)
+        q = rail.home

@@ -3,7 +3,6 @@ import { cross, plus, point, times, unit } from "./robot.js";
 
 const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
 const PALE = 0.25, SAME = 3e-3; // opacity of a ghost; [sizes of the robot, rad] parts nearer than this are seen as one
-const SUN = [0.35, -0.2]; // how far a shadow falls sideways per metre of height
 const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0, T[2], T[6], T[10], 0, T[3], T[7], T[11], 1]);
 
 // Placement of a shape of unit height that stretches from one point to another, `thick` across.
@@ -82,7 +81,7 @@ export class Renderer {
   // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; but for the
   // first ghosts in a color) and handles (shape, T, color, alpha), drawn on top.
   draw(camera, { back, line, dark }, { z, cell, wide }, robots, handles) {
-    const { gl, at, canvas } = this, [x, y] = SUN, view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
+    const { gl, at, canvas } = this, [x, y] = [0.35, -0.2], view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(...back, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
@@ -95,7 +94,7 @@ export class Renderer {
     this.one(this.handles.floor, standing([0, 0, z], [0, 0, z + 1], wide), GRID, line, 0.7);
     gl.enable(gl.STENCIL_TEST); // each pixel is shaded once, however many parts lie over it
     gl.stencilFunc(gl.EQUAL, 0, 1);
-    view(times(camera.view, [1, 0, x, -x * z, 0, 1, y, -y * z, 0, 0, 0, z]));
+    view(times(camera.view, [1, 0, x, -x * z, 0, 1, y, -y * z, 0, 0, 0, z])); // x, y: how far a shadow falls sideways per metre of height
     this.robot(robots[0].frames, FLAT, dark, 0.17);
     view(camera.view);
     gl.disable(gl.STENCIL_TEST);

@@ -42,9 +42,11 @@ export class Camera {
   orbit = ([dx, dy]) => Object.assign(this, { yaw: this.yaw - 0.008 * dx, pitch: clamp(this.pitch + 0.008 * dy, -1.5, 1.5) });
   pan = (pixels) => Object.assign(this, { centre: plus(this.centre, this.shift(this.centre, pixels), -1) });
   zoom = (factor) => Object.assign(this, { far: clamp(this.far * factor, 0.2 * this.size, FAR * this.size) });
-  seek(p) { // moves away until the point p of the world is in the picture
+  seek(points) { // where one of these points of the world is outside the picture: aims between them, from where they are in it
     const { clientWidth: w, clientHeight: h } = this.canvas, off = ([x, y]) => Math.max(Math.abs(x / w - 0.5), Math.abs(y / h - 0.5));
-    while ((off(this.screen(p)) > INSIDE || moved(this.view, p)[2] > 0) && this.far < FAR * this.size) this.zoom(1.05).update();
+    const out = () => this.update() ?? (w && h && points.some((p) => off(this.screen(p)) > INSIDE || moved(this.view, p)[2] > 0));
+    if (out()) this.centre = points.reduce((sum, p) => plus(sum, p, 1 / points.length), [0, 0, 0]);
+    while (out() && this.far < FAR * this.size) this.zoom(1.05);
   }
 }
 

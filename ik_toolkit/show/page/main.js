@@ -1,6 +1,6 @@
 // The page: its state, the panel beside the picture, and what happens when something is moved.
 import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
-import { SOLVERS, attempt, glide, look, loose, randoms, solve } from "./solve.js";
+import { SOLVERS, glide, look, loose, randoms, solve } from "./solve.js";
 import { Renderer, seat, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
@@ -77,6 +77,7 @@ function show(to, found = null) {
   if (!found) follow(shown.tips);
   [$("turn").checked, $("first").checked, $("first").disabled] = [targets[chosen].turn, targets[chosen].first, !targets[chosen].turn];
   $("null").disabled = !loose(robot, q, targets);
+  if (!held) camera.seek([...targets.map(({ T }) => T), ...shown.tips].map((T) => moved(shown.base, point(T))));
   for (const step of [...bars, tell, paint]) step();
   return true;
 }
@@ -136,8 +137,7 @@ canvas.onpointerdown = ({ pointerId, offsetX, offsetY, pointerType }) => {
   if (held) play(() => show(q, result));
 };
 canvas.onpointermove = ({ pointerId, offsetX, offsetY, pointerType, shiftKey }) => {
-  const before = pointers.get(pointerId), now = [offsetX, offsetY];
-  const other = [...pointers].find(([id]) => id !== pointerId)?.[1];
+  const before = pointers.get(pointerId), now = [offsetX, offsetY], other = [...pointers].find(([id]) => id !== pointerId)?.[1];
   if (!before) { canvas.style.cursor = under(camera, targets.map(grip), now, pointerType) ? "grab" : ""; return; }
   const by = plus(now, before, -1);
   pointers.set(pointerId, now);
@@ -152,12 +152,10 @@ canvas.onpointermove = ({ pointerId, offsetX, offsetY, pointerType, shiftKey }) 
   }
 };
 canvas.onpointerup = canvas.onpointercancel = ({ pointerId }) => {
-  const dropped = held;
+  const next = !held ? paint : result && !result.good ? reach : () => show(q, result);
   held = null;
   pointers.delete(pointerId);
-  if (dropped) camera.seek(point(grip(targets[dropped.tip], 0).T));
-  if (dropped && result && !result.good) reach();
-  else paint();
+  next();
 };
 canvas.onwheel = (event) => { event.preventDefault(); camera.zoom(Math.exp(0.001 * event.deltaY)); paint(); };
 $("solver").onchange = () => reach();
@@ -191,9 +189,8 @@ try {
   renderer = new Renderer(canvas, { vertex, fragment }, data, blob);
   new ResizeObserver(paint).observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
-  const pixels = (p) => camera.screen(moved(shown.base, p));
-  const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, renderer, seat, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
+  const pixels = (p) => camera.screen(moved(shown.base, p)), state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
+  window.arm = { robot, renderer, seat, solve, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
   if (parent !== window) inCell((ik) => parent.postMessage({ ik }, "*"));
 } catch (error) {

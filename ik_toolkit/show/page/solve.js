@@ -120,16 +120,18 @@ export function attempt(robot, name, q0, targets) {
 // Attempts from q0, then from random starts, until one succeeds: the best, its number, how many were made, and the way to it.
 // other(q): skip answers for which it is true, and start elsewhere.
 export function solve(robot, name, q0, targets, { attempts = ATTEMPTS, seed = 1, other = null } = {}) {
-  const next = randoms(seed), begin = () => Array.from({ length: DRAWN }, () => look(robot, robot.random(next), targets));
-  const way = [];
+  const goals = targets.map((target) => target && { ...target, T: [target.T].flat(2) });
+  const bad = goals.some((goal) => goal && !(goal.T.length === 12 && goal.T.every(Number.isFinite)));
+  if (bad) throw new TypeError("T must be the first three rows of a pose, nested or as 12 finite numbers");
+  const next = randoms(seed), begin = () => Array.from({ length: DRAWN }, () => look(robot, robot.random(next), goals)), way = [];
   let best = null, made = 0;
   for (let looks = 0; made < attempts && looks < LOOKS && !best?.good; looks += DRAWN) {
     const start = made || other ? begin().reduce((a, b) => (b.ee < a.ee ? b : a)).q : q0;
-    const found = attempt(robot, name, start, targets);
+    const found = attempt(robot, name, start, goals);
     Object.assign(found, { q: robot.wrapped(found.q), attempt: ++made });
     looks += found.looks;
     way.push(...found.history);
-    if (!(found.good && other?.(found.q)) && (found.good || !best || found.ee < 0.99 * best.ee)) best = found; // a clear gain
+    if (!(found.good && other?.(found.q)) && (found.good || !best || found.ee < best.ee)) best = found;
   }
   return best && { ...best, attempts: made, way: [...way, { q: best.q, error: Math.sqrt(best.ee) * robot.reach }] };
 }
