@@ -40,8 +40,8 @@ def as_output(value: Any, what: str, *suffixes: str) -> Path:
 
     If there is only one format, a device or pipe (which the shell may name /dev/fd/63) needs no suffix.
     """
-    file = as_path(value, "file")
-    stream = len(suffixes) == 1 and (file.is_fifo() or file.is_char_device())
+    file, formats = as_path(value, "file"), {*suffixes} - {".xml", ".htm"}  # these are other names of .urdf and .html
+    stream = len(formats) == 1 and (file.is_fifo() or file.is_char_device())
     if file.suffix.lower() not in suffixes and not stream:
         named = " or ".join(filter(None, (", ".join(suffixes[:-1]), *suffixes[-1:])))
         raise InvalidOption(f"{what} is written as {named}, not '{file.name}'")

@@ -235,7 +235,7 @@ def solve_file(
     """
     if output is None:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(FORMATS)}")
-    as_output(output, "what -o FILE gets with --targets", *FORMATS)
+    as_output(output, "the -o FILE of --targets", *FORMATS)
     count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()

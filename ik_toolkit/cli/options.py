@@ -388,7 +388,9 @@ class CollisionOptions:
                 forms = " or ".join(f"{kind}:{form}" for kind, (form, _) in OBSTACLES.items())
                 raise InvalidOption(f"--obstacle takes {forms}; not '{text}'")
             form, sizes = OBSTACLES[kind]
-            values = [x for x in numbers(rest) or () if math.isfinite(x)]
+            values = numbers(rest) or []
+            if not all(map(math.isfinite, values)):
+                raise InvalidOption(f"--obstacle takes finite numbers; not '{text}'")
             turned = len(values) == 6 + sizes and kind != "sphere"
             if len(values) != 3 + sizes and not turned:
                 raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")

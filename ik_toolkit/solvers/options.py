@@ -321,5 +321,6 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
         raise InvalidOption(f"{name} must be a number, not an array of shape {number.shape}")
     number = float(number)
     if not low <= number <= high or number == math.inf:
-        raise InvalidOption(f"{name} must be between {low:.10g} and {high:.10g}, not {value!r}")
+        allowed = f"between {low:.10g} and {high:.10g}" if high < math.inf else f"finite and at least {low:.10g}"
+        raise InvalidOption(f"{name} must be {allowed}, not {value!r}")
     return number

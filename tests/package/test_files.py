@@ -17,7 +17,7 @@ import pytest
 from ik_toolkit import files
 from ik_toolkit.cli import main
 from ik_toolkit.errors import CONTROLS, InvalidOption, clean
-from ik_toolkit.files import WholeFile, whole_file, write_whole
+from ik_toolkit.files import WholeFile, as_output, whole_file, write_whole
 from ik_toolkit.robot.library import find
 
 ARM = "planar_2r"
@@ -83,6 +83,10 @@ def test_links_modes_and_devices_are_respected(tmp_path):
     assert hard.read_text() == OLD
     write_whole("/dev/null", "nothing")
     assert not os.path.isfile("/dev/null")
+    for suffixes in ((".json",), (".urdf", ".xml"), (".html", ".htm")):  # a device has no suffix to choose a format by
+        assert as_output("/dev/null", "it", *suffixes).name == "null"
+    with pytest.raises(InvalidOption, match=r"it is written as \.csv or \.json, not 'null'"):
+        as_output("/dev/null", "it", ".csv", ".json")
 
 
 def test_a_place_that_cannot_be_written_is_named_as_it_was_given(tmp_path, capsys):

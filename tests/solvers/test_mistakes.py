@@ -23,7 +23,7 @@ def tree():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (dict(tolerance=-1.0), r"^tolerance must be between 1e-14 and inf, not -1\.0"),
+        (dict(tolerance=-1.0), r"^tolerance must be finite and at least 1e-14, not -1\.0"),
         (dict(max_iterations=2**20), r"max_iterations is at most \d+, not 1048576; use restarts for longer searches"),
         (dict(mask=(1, 1, 1)), r"mask must have six weights \(x, y, z, rx, ry, rz\), not 3"),
         (dict(slack=(9.0,) * 5), "slack"),
