@@ -66,7 +66,7 @@ CHART = "Time of a solve: median (bar) and 99th percentile (line), with the shar
 AGAINST = """\
 *Before* is commit {old}. Each version has its own process and cache and gets the same targets; the rounds alternate. Times are
 processor time; ratios are medians with a 95 % interval by order statistics. Trackers run in their published form
-(`on_limit="clip"`), the only one that the older version had.
+(`on_limit="clip"`).
 """
 
 
