@@ -151,9 +151,7 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
 
 
 def numeric(kind: type) -> Callable[[typer.CallbackParam, Any], Any]:
-    """Return a reader of a number, float or int, from the text or default of an option; nan and numbers that `decimal` refuses are
-    mistakes.
-    """
+    """Return a reader of an option's number (kind: float or int), which raises InvalidOption for nan and what `decimal` refuses."""
 
     def read(param: typer.CallbackParam, given: Any) -> Any:
         if given is None:

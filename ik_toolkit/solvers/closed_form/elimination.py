@@ -154,10 +154,8 @@ def list_certain(rows, ends, opt, T, found, box, most, table, counts):
             misses the tolerances, or there are more than `most`.
     """
     at, n = 0, box.shape[1]
-    p, none = (
-        make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt)),
-        np.zeros((2, found.shape[1], 3), dtype=np.int8),
-    )
+    p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))
+    none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # this closed form has no signs of branches
     work, q, broken = np.empty((2, n)), np.empty((found.shape[1], n)), np.empty(found.shape[1])
     for t in range(T.shape[0]):
         counts[t, 0], counts[t, 1] = at, -1
