@@ -20,9 +20,8 @@ from ..robot.pose import AxisTarget, as_array
 from ..robot.ros import is_by_name
 from ..solvers.batch.targets import SHAPES
 from ..solvers.task import read_one, read_target
+from ..validate import FLOAT
 from .workspace import Samples, new_samples, samples_from, samples_of
-
-FLOAT = np.dtype(np.float64)
 
 
 class TargetCodes(NamedTuple):

@@ -11,12 +11,11 @@ from ..kernel.counted_error import AXIS, KIND
 from ..kernel.kinematics import TAU
 from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
-from ..validate import switch
-from .closed_form.elimination import certificate_of, into_limits, solutions_of
+from ..validate import FLOAT, switch
+from .closed_form.elimination import forms_of, into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
 from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
-from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
@@ -34,77 +33,72 @@ class CertainLists(NamedTuple):
     """Certified lists of N poses, of which Solutions are made when they are asked for."""
 
     plan: Plan
+    final: bool  # whether the lists need no further step: no collisions, constraints or Pinocchio to ask
     table: np.ndarray  # (M, 3 + n) the rows of `polish.list_with` of all poses
-    # (N, 2) index of the first row of each pose, and number of its rows, or -1 if its list is not certain
-    counts: list[list[int]]
-    notes: np.ndarray  # (N, .) evidence that each list is complete, see `certificate_of`
+    # (N, .) where the rows of each pose begin, their number, and evidence that they are all, see `elimination.list_certain`
+    notes: np.ndarray
 
     def rows(self, k: int) -> np.ndarray:
         """Return the rows of `table` that belong to pose k."""
-        first, kept = self.counts[k]
-        return self.table[first : first + kept]
+        first, kept = self.notes[k, :2].tolist()
+        return self.table[int(first) : int(first + kept)]
 
     def solutions(self, k: int) -> Solutions | None:
         """Return the Solutions of pose k, or None if its list is not certain."""
-        if self.counts[k][1] < 0:
+        first, kept, *evidence = self.notes[k].tolist()
+        if kept < 0.0:
             return None
-        rows, certificate = self.rows(k), certificate_of(self.notes[k].tolist())
-        words = f"{certificate.solutions} branches"
-        words = f"{len(rows)} of {words} are inside the limits" if self.plan.options.limits else words
+        rows, words = self.table[int(first) : int(first + kept)], f"{evidence[0]:.0f} branches"
+        words = f"{kept:.0f} of {words} are inside the limits" if self.plan.options.limits else words
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
-        return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=certificate)
+        return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=evidence)
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
-    places = int(solver.robot.by_tip)  # number of leading axes of a single target of a Tree
-    shape = getattr(target, "shape", ())
-    shape = shape if isinstance(shape, tuple) else ()
-    several = len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,))
-    plan, o, each, lists = _plan_for(solver, POSES), solver.options, [], []
-    plain = type(target) is np.ndarray and target.dtype == np.float64 and shape[several:] == solver._pose == (4, 4)
-    plain = plain and hasattr(plan.rule, "certain")
-    more = all_turns or o.avoid_collisions is not False or o.check or solver.robot.constraints
+    shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)  # a target of a Tree has a leading axis
+    several = isinstance(shape, tuple) and (
+        len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,))
+    )
+    plan = solver.lister if is_plain(solver, target, several) else None
     if not several:
-        made = _certain(plan, target[None], q0, count) if plain and target.flags.carray else None
-        if made is None or more or made.counts[0][1] <= 0 or q0 is not None:
-            return _find(solver, target, q0, starts, count, all_turns, made.solutions(0) if made else None)
-        return made.solutions(0)
-    if plain:
+        made = _certain(plan, target[None], q0, count) if plan and target.flags.carray else None
+        if made and made.final and q0 is None and not all_turns and made.notes[0, 1] > 0.0:
+            return made.solutions(0)
+        return _find(solver, target, q0, starts, count, all_turns, made)
+    each, lists = [], []
+    if plan:
         target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
     for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
         some = target[a : a + 1024]
-        made = _certain(plan, some, q0, count) if plain else None
+        made = _certain(plan, some, q0, count) if plan else None
         lists.append(made)
         each += [None] * len(some)
-        for k in range(len(some)):
-            if made is None or more or made.counts[k][1] <= 0:
-                found = made.solutions(k) if made else None
-                each[a + k] = _find(solver, some[k], q0, starts, count, all_turns, found)
+        listed = made.notes[:, 1] > 0.0 if made and made.final and not all_turns else np.zeros(len(some), dtype=bool)
+        for k in np.flatnonzero(~listed).tolist():
+            each[a + k] = _find(solver, some[k], q0, starts, count, all_turns, made, k)
     return SolutionsBatch(each, lists)
 
 
-def _plan_for(solver: Any, kinds: tuple) -> Plan:
-    """Return the plan that lists solutions for targets of these kinds: for 'auto' and poses the elimination's, if there is one."""
-    plan = solver.plan_for(kinds)
-    if solver.name == "auto" and kinds == POSES and not plan.row.closed:
-        return elimination_plan(plan) or plan
-    return plan
+def is_plain(solver: Any, target: Any, several: bool) -> bool:
+    """Return whether one target, or several, are an array of poses for a robot with one tip that need no conversion."""
+    return type(target) is np.ndarray and target.dtype is FLOAT and target.shape[several:] == solver._pose == (4, 4)
 
 
 def _find(
-    solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool, found: Solutions | None = None
+    solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool, lists: CertainLists | None, k: int = 0
 ) -> Solutions:
-    """Find Solutions of one target; found: those that `_certain` has listed, or None."""
-    T, kinds, notice = _read(solver, target) if found is None else (target[None], POSES, "")
-    plan = _plan_for(solver, kinds)
+    """Find Solutions of one target; lists: what `_certain` has made of it, as number k, or None."""
+    T, kinds, notice = _read(solver, target)
+    lister = solver.lister if kinds == POSES else None
+    plan = lister or solver.plan_for(kinds)
     o = plan.options
     start, clamped = (plan.home, "") if q0 is None else plan.check_start(q0)
     notice = "; ".join(filter(None, (notice, clamped)))
-    if found is None and kinds == POSES and hasattr(plan.rule, "certain"):
-        found = _certain(plan, T, q0, count).solutions(0)
-    sliced = ""
+    if lists is None and lister:
+        lists = _certain(lister, T, q0, count)
+    found, sliced = lists.solutions(k) if lists else None, ""
     if found is None and plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     elif found is None and solver.name == "auto" and o.priority is None:
@@ -188,8 +182,7 @@ def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, star
 
 def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
     """Return the target as an array (1, ...), its kinds and a notice; a valid pose array is passed on at once."""
-    plain = type(target) is np.ndarray and target.dtype == np.float64 and target.flags.carray
-    if plain and target.shape == solver._pose == (4, 4) and is_rigid(target):
+    if is_plain(solver, target, False) and target.flags.carray and is_rigid(target):
         return target[None], POSES, ""
     return read_target(solver.robot, target)
 
@@ -212,11 +205,16 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
 
     Their Solutions are what `_listed` returns, in less time.
     """
-    opt, p, box = _prepared(plan, POSES)
+    if "certain" not in plan.memo:
+        opt, p, box = _prepared(plan, POSES)
+        o = plan.options
+        final = o.avoid_collisions is False and not (o.check or plan.robot.constraints)
+        plan.memo["certain"] = opt, p, box, forms_of(p.tobytes()), final
+    opt, p, box, forms, final = plan.memo["certain"]
     if q0 is not None:
         box = box.copy()
         box[2] = plan.check_start(q0)[0]
-    return CertainLists(plan, *plan.rule.certain(plan.chain, p, opt, T, box, count))
+    return CertainLists(plan, final, *plan.rule.certain(plan.chain, forms, p, opt, T, box, count))
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:

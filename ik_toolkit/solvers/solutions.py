@@ -1,5 +1,6 @@
 """What `solve_all` and `Solver.all` return: the distinct solutions of a target, and the self-motions they are samples of."""
 
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from ..copying import ReadOnly
 from ..robot.robot import Robot
 from ..text import TextTable, length
+from .closed_form.elimination import certificate_of
 from .closed_form.geometry import Family
 
 __all__ = ["Family", "Solutions", "SolutionsBatch"]
@@ -38,7 +40,7 @@ class Solutions(ReadOnly):
     branches: np.ndarray | None
     found_by: tuple[str, ...]
     complete: bool
-    certificate: Any
+    _evidence: Any
     families: tuple[Family, ...]
     solver: str
     message: str
@@ -57,13 +59,18 @@ class Solutions(ReadOnly):
         found_by: tuple[str, ...] | None = None,
         certificate: Any = None,
     ) -> None:
-        """Store the arrays and texts."""
+        """Store the arrays and texts; certificate: a Certificate, None, or the numbers of which `certificate_of` makes one."""
         self._put(
             robot=robot, q=q, distance=distance, position_error=errors[0], orientation_error=errors[1], complete=complete,
-            solver=solver, message=message, families=families, branches=branches, certificate=certificate,
-            found_by=(solver,) * len(q) if found_by is None else found_by,
+            solver=solver, message=message, families=families, branches=branches, _evidence=certificate,
+            found_by=(solver,) * len(q) if found_by is None else found_by, _sealed=True,
         )  # fmt: skip
-        self._seal()
+
+    @functools.cached_property
+    def certificate(self) -> Any:
+        """How complete the list is known to be, made when it is first read."""
+        given = self._evidence
+        return certificate_of(given) if isinstance(given, list) else given
 
     def __len__(self) -> int:
         """Return the number of solutions."""
@@ -138,9 +145,9 @@ class SolutionsBatch(ReadOnly):
     def __init__(self, each: list[Solutions | None], lists: Sequence[Any]) -> None:
         """Join the solutions of the targets; those of target k that are None are made by `lists`, all of one size."""
         self._each, self._lists = each, lists
-        self._size = len(lists[0].counts) if lists and lists[0] else 1
-        kept = [row[1] for made in lists if made for row in made.counts]
-        counts = [kept[k] if one is None else len(one) for k, one in enumerate(each)]
+        self._size = len(lists[0].notes) if lists and lists[0] else 1
+        kept = np.concatenate([made.notes[:, 1] for made in lists if made] or [()]).tolist()
+        counts = [int(kept[k]) if one is None else len(one) for k, one in enumerate(each)]
         self.target = np.repeat(np.arange(len(each)), counts)
         self.complete = np.array([one is None or one.complete for one in each], dtype=bool)
         self._seal()

@@ -21,8 +21,9 @@ from ..kernel.records import AT
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
+from ..validate import FLOAT
 from .closed_form import fits
-from .decide import deciding
+from .decide import deciding, elimination_plan
 from .options import NAMES, AllOptions, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
@@ -32,8 +33,6 @@ from .result import Result
 from .solutions import Solutions
 from .task import POSES, read_target
 
-# numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
-FLOAT = np.dtype(np.float64)
 # options that make sense only if a single answer is returned
 CHOOSING = ("closest", "objective", "history", "follow", "timeout")
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
@@ -100,6 +99,14 @@ class Solver(ReadOnly):
     def plan_for(self, kinds: tuple) -> Plan:
         """Return the Plan that solves targets of these kinds, one kind per tip."""
         return self._plans.get(kinds, self.plan)
+
+    @functools.cached_property
+    def lister(self) -> Plan | None:
+        """The elimination's Plan, if that lists all solutions of a pose; None if another closed form or a search does."""
+        plan = self.plan_for(POSES)
+        if self.name == "auto" and not plan.row.closed:
+            return elimination_plan(plan)
+        return plan if plan.row.name == "elimination" else None
 
     def __call__(self, target: Any, q0: Any = None) -> Result:
         """Solve for one target.

@@ -15,7 +15,7 @@ from ...kernel.chain import Chain
 from ...kernel.checks import RIGID, is_rigid, rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import SIZES, VERDICT
-from ...kernel.records import SIZE, Orders, read
+from ...kernel.records import SIZE, Orders, copy, read
 from ...kernel.serial import make_serial
 from ..protocol import closed_form
 from .eaik import STEPS, N, eaik_branches
@@ -138,7 +138,7 @@ def into_limits(Q, box, out, excess):
 
 
 @cached
-def list_certain(rows, ends, opt, T, found, box, most, table, counts):
+def list_certain(rows, ends, opt, T, found, box, most, table, notes):
     """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_with` does.
 
     Args:
@@ -150,15 +150,16 @@ def list_certain(rows, ends, opt, T, found, box, most, table, counts):
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
         most: largest number of rows of a target.
         table: (at least the sum of all solutions, 9) receives the rows of `list_with`, one target after another.
-        counts: (N, 2) receives where the rows of each target begin, and their number, or -1 if its list is not certain, a row
-            misses the tolerances, or there are more than `most`.
+        notes: (N, 2 + `terms.Notes`) receives where the rows of each target begin, their number, or -1 if its list is not certain,
+            a row misses the tolerances, or there are more than `most`, and then the first row of the target's answer.
     """
     at, n = 0, box.shape[1]
     p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))
     none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # this closed form has no signs of branches
     work, q, broken = np.empty((2, n)), np.empty((found.shape[1], n)), np.empty(found.shape[1])
     for t in range(T.shape[0]):
-        counts[t, 0], counts[t, 1] = at, -1
+        notes[t, 0], notes[t, 1] = at, -1
+        copy(found[t, 0], notes[t, 2:])
         if found[t, 0, 1] != VERDICT.certain or not rigid(T[t], RIGID.axes):
             continue
         Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
@@ -166,7 +167,7 @@ def list_certain(rows, ends, opt, T, found, box, most, table, counts):
         branches = (-1, STEPS, q[: Q.shape[0]], broken, none[0])
         kept, legal = list_with(p, work, opt, T[t], box[2], branches, table[at:], none[1])
         if kept == legal and kept <= most:
-            counts[t, 1] = kept
+            notes[t, 1] = kept
             at += kept
 
 
@@ -184,13 +185,13 @@ class Elimination(NamedTuple):
     recognise = staticmethod(recognise_six_revolute)
 
     def certain(
-        self, chain: tuple, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray, most: int
-    ) -> tuple[np.ndarray, list[list[int]], np.ndarray]:
-        """Return the table and counts of `list_certain` for poses T (N, 4, 4), and the first rows (N, 9) of their answers."""
-        found = answers(forms_of(p.tobytes()), p, T)
-        table, counts = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty((len(T), 2), dtype=np.int64)
-        list_certain(*chain[:2], opt, T, found, box, most, table, counts)
-        return table, counts.tolist(), found[:, 0].copy()
+        self, chain: tuple, forms: np.ndarray, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray, most: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the table and notes of `list_certain` for poses T (N, 4, 4)."""
+        found = answers(forms, p, T)
+        table, notes = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty((len(T), 2 + SIZES.columns))
+        list_certain(*chain[:2], opt, T, found, box, most, table, notes)
+        return table, notes
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
