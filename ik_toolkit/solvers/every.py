@@ -48,8 +48,8 @@ class CertainLists(NamedTuple):
         first, kept, *evidence = self.notes[k].tolist()
         if kept < 0.0:
             return None
-        rows, words = self.table[int(first) : int(first + kept)], f"{evidence[0]:.0f} branches"
-        words = f"{kept:.0f} of {words} are inside the limits" if self.plan.options.limits else words
+        rows, words = self.table[int(first) : int(first + kept)], f"{int(evidence[0])} branches"
+        words = f"{int(kept)} of {words} are inside the limits" if self.plan.options.limits else words
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
         return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=evidence)
 
