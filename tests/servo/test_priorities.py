@@ -76,8 +76,12 @@ def test_coming_nearer_slowly_is_not_called_hardly():
 
 
 @pytest.mark.parametrize(
-    ("mode", "method", "acceleration"), [("direct", "cv", None), ("leave", "cv", 2.0), ("direct", "ca", 2.0)]
-)
+    ("mode", "method", "acceleration"),
+    [
+        ("direct", "cv", None), ("leave", "cv", 2.0), ("direct", "ca", 2.0),
+        ("direct", "aad", None), ("leave", "aad", 2.0), ("direct", "aad", 10.0),
+    ],
+)  # fmt: skip
 def test_two_hands_keep_their_distance_where_the_turret_is_too_slow(mode, method, acceleration):
     """Moved up and down at up to 1.9 m/s, the hands fall behind, but what they hold is not let go."""
     robot = ik.Tree.load("brokk_hydrolek")
