@@ -225,7 +225,7 @@ def speed_limits(
     most, slowest = own.copy(), {}
     for joint, (ratio, speed) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
-        if i is not None and speed / abs(ratio) < most[i]:
+        if i is not None and speed <= NO_LIMIT and speed / abs(ratio) < most[i]:
             most[i], slowest[i] = speed / abs(ratio), f"'{joint}', which mimics it, has a limit of {speed:g}"
     notes = []
     for i, why in slowest.items():

@@ -86,6 +86,7 @@ def test_followers_of_equalities(arm):
     assert finger.joint_names == JOINTS
     slid = [(finger.fk(x).inverse() * ik.Robot.load(arm, tip="lower").fk(x)).translation for x in np.eye(7)[[0, 5]]]
     assert slid[0][1] == pytest.approx(-0.1) and slid[1][1] == pytest.approx(-0.3)
+    assert np.isinf(finger.velocity_limits).all() and not any("rad/s" in note for note in finger.notes)
 
 
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
