@@ -95,7 +95,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     if robot.list_tips:
         read_args = assignments(robot.xacro_arg, "--xacro-arg", ":=")
         ends = tip_candidates(read_source(robot.robot, robot.package_dir or (), read_args)[1]["model"])
-        _show_tips(entry, [robot.load(name) for name in ends], out)
+        _show_tips(entry, [robot.load(name) for name in dict.fromkeys((*entry.tips, *ends))], out)
         return
     try:
         names = [robot.tip] if robot.tip or robot.group or len(entry.tips) < 2 else entry.tips

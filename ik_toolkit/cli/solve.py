@@ -47,7 +47,7 @@ class SolverOptions:
         complete=solvers_like,
     )
     param: list[str] | None = option("NAME=VALUE", "Set a parameter of the solver; may be repeated.", "-p", "--param")
-    preset: str | None = option("NAME", "Published or tuned parameters, by name.")
+    preset: str | None = option("NAME", "Published or tuned parameters, by name, or a file of ik tune.")
     max_iterations: int | None = option("N", "Maximum iterations per attempt; default: the solver's own.")
     restarts: int | None = option("N", "Additional attempts from other starts; default: the solver's own.")
     timeout: float | None = option("S", "Time for the solve [s]; unlike every other option not deterministic.")
@@ -60,13 +60,15 @@ class SolverOptions:
 
     def choose(self, robot: Any) -> Any:
         """Return the solver's name, or the solver configured by preset and parameters. Raises UnknownSolver, InvalidOption."""
-        from ..solvers.presets import from_preset
+        from ..solvers.presets import from_preset, read_preset
         from ..solvers.registry import GENERAL, find_row, make_rule
         from ..solvers.solve import closed_form_with
 
         if self.solver == "auto" and not self.param and not self.preset:
             return self.solver
         asked = solver_named(self.solver)
+        if asked == "auto" and self.preset and self.preset.endswith(".toml"):
+            asked = str(read_preset(asked, self.preset)["solver"])
         values = parameters(self.param)
         row = find_row(closed_form_with(robot, values) or GENERAL if asked == "auto" else asked)
         if self.preset is None:
@@ -76,6 +78,13 @@ class SolverOptions:
     def read(self) -> dict[str, Any]:
         """Return the given options by name, as keyword arguments of the library's functions."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
+
+    def tuned(self, rule: Any) -> dict[str, Any]:
+        """Return the tolerance and iteration limit of the preset of a rule, if there is one."""
+        from ..solvers.presets import load_preset
+        from ..solvers.registry import find_row
+
+        return {} if self.preset is None else load_preset(find_row(rule).name, self.preset, rule._fields)[1]
 
 
 @options("Start and preferences")
@@ -191,7 +200,7 @@ def solve(
     arm = robot.load(tips, method.limits)
     rule = method.choose(arm)
     aim = aim if target.from_q is None else target.reached(arm, deg)
-    options = given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
+    options = method.tuned(rule) | given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
     options |= counts.read(deg, target.relative) | collisions.read(arm)
     start = options.pop("q0")
     if many.file is not None:

@@ -68,7 +68,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
 
     Examples:
     ik tune hydrolek_7w pid --seconds 60 -o mine.toml
-    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --solver pid --preset mine.toml
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --preset mine.toml
     """
     arm = robot.load(robot.tips)
 

@@ -262,7 +262,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):
-        raise InvalidOption("the model already has a floating base, so on_base must be a pose")
+        raise InvalidOption("the model already has a base that moves, so on_base must be a pose")
     if on_base is not None:
         made = stand(made, on_base)
         names += [f"{ROOT}_{part}" for part in BASES[on_base]] if isinstance(on_base, str) else []

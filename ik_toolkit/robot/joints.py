@@ -347,7 +347,7 @@ class Joints(ReadOnly):
         return joint_values(self, self.check_q(q))
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None, *, model: pin.Model | None = None) -> np.ndarray:
-        """Return the full configuration (nq,) of the robot's model, or of another one with the same joints, for q (n,) [rad or m].
+        """Return the configuration (nq,) of the model given or read, or of another with the same joints, for q (n,) [rad or m].
 
         Joints off the path keep their values in `rest`, by default the robot's. A model given here may also have joints that the
         robot lacks (these stay neutral), joints of several DOF, and mimic joints as independent ones. Raises JointNotFound.

@@ -108,7 +108,8 @@ class Mobility:
         elif self.rotation is not None:
             text += "; the tip never turns"
         if len(self.normals):
-            text += f"; it never moves along {' and '.join(named(normal) for normal in self.normals)} of the base"
+            axes = f"never moves along {' and '.join(named(normal) for normal in self.normals)} of the base"
+            text += f"; it {axes if len(self.normals) < 3 else 'stays in one place'}"
         return text
 
 

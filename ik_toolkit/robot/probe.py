@@ -101,9 +101,12 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     carry = {lead.get(j, j) for j in up if j not in still}
     leaders += [j for j in others if j in carry and j not in locked and j not in leaders]
     if not leaders:
-        raise Motionless(
-            f"no moving joint between base '{model.frames[base].name}' and tip '{model.frames[tip].name}': nothing to solve"
+        ends, below = (
+            f"base '{model.frames[base].name}' and tip '{model.frames[tip].name}'",
+            [j for j in up if j not in locked],
         )
+        resting = f" but those that carry the base ({', '.join(model.names[j] for j in below)}), which rest"
+        raise Motionless(f"no moving joint between {ends}{resting * bool(below)}: nothing to solve")
     joints = up + down
     place = {j: i for i, j in enumerate(leaders)}
     owner = {
@@ -225,7 +228,7 @@ def speed_limits(
     most, slowest = own.copy(), {}
     for joint, (ratio, speed) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
-        if i is not None and speed / abs(ratio) < most[i]:
+        if i is not None and speed <= NO_LIMIT and speed / abs(ratio) < most[i]:
             most[i], slowest[i] = speed / abs(ratio), f"'{joint}', which mimics it, has a limit of {speed:g}"
     notes = []
     for i, why in slowest.items():

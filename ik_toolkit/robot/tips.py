@@ -8,6 +8,7 @@ from typing import NamedTuple
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, ModelError
+from .base import ROAMS
 
 LOG = logging.getLogger("ik_toolkit")
 
@@ -96,8 +97,13 @@ def guess_tip(model: pin.Model) -> Guess:
 
 
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:
-    """Return the candidates for the tip: the likely ones, then the other ends of the model's paths."""
-    return tuple(dict.fromkeys((*guess_tip(model).tips, *path_ends(model))))
+    """Return the candidates for the tip: the likely ones, then the other ends of the model's paths.
+
+    What a floating or planar joint carries by itself is none: the joint is held still without limits.
+    """
+    ends = dict.fromkeys((*guess_tip(model).tips, *path_ends(model)))
+    on = {frame.name: model.joints[frame.parentJoint].shortname() for frame in model.frames}
+    return tuple(name for name in ends if on[name] not in ROAMS) or tuple(ends)
 
 
 def only_tip(model: pin.Model, robot: str) -> str:

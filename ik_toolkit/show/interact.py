@@ -81,8 +81,9 @@ def interact(
         )
     q = robot.home if q0 is None else robot.check_q(q0)
     solvers: dict[str, Solver] = {}
+    options["history"] = True
     for one in asked:
-        bound = Solver(robot, one, history=True, **options)
+        bound = Solver(robot, one, **options)
         solvers[bound.name if bound.name not in solvers else f"{bound.name} {len(solvers) + 1}"] = bound
     if target is None:
         poses = [T.homogeneous for T in robot.tip_poses(robot.random_q(np.random.default_rng(2)))]

@@ -12,7 +12,7 @@ from .outcome import SPOKEN
 from .plan import Plan
 from .protocol import Asked
 from .solutions import Solutions
-from .task import counted_errors, counted_rows, counts_in_part, group_levels
+from .task import counted_errors, counted_jacobian, group_levels
 
 ONE_ATTEMPT: dict[str, Any] = {
     **PLAIN,
@@ -75,7 +75,7 @@ def search_solutions(
     if o.priority is not None:
         return _minima(found, plan, kinds, T, f"({len(out)} of {starts} starts converged)", count)
     redundant = _redundant(plan, kinds)
-    found._put(families=_families(single, found, T, kinds, redundant))
+    found._put(families=_families(single, found, T, kinds))
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
         found = spread_rows(found, count)
@@ -117,22 +117,17 @@ def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.n
     return out
 
 
-def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redundant: bool) -> tuple[Family, ...]:
+def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple) -> tuple[Family, ...]:
     """Find self-motions: solutions at which the Jacobian leaves a direction free, along which a step leads to another solution.
 
     An isolated singular solution has no self-motion: after the step the search returns to it.
     """
     robot = found.robot
-    if not len(found) or counts_in_part(kinds, single.options):
-        names = tuple(robot.joint_names)
-        return (Family(names, None, None, "joints are left over"),) if redundant and len(found) else ()
-    J = robot.chain.forward(found.q, jacobian=True)[1]
-    for f in range(len(kinds)):
-        J[:, 6 * f : 6 * f + 3] /= robot.chain.scale
-    J *= robot.chain.unit
-    J[:, :, single.held] = 0.0
+    if not len(found):
+        return ()
+    J = counted_jacobian(robot, found.q, T[0], kinds, single.options) * robot.chain.unit
     moving = np.setdiff1d(np.arange(robot.n), single.held)
-    J = J[:, counted_rows(robot, kinds, single.options)][:, :, moving]
+    J = J[:, :, moving]
     _, values, directions = np.linalg.svd(J)
     wide = np.zeros((len(J), len(moving)))
     wide[:, : values.shape[1]] = values

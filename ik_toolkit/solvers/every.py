@@ -57,6 +57,9 @@ class CertainLists(NamedTuple):
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
+    if isinstance(target, list | tuple):  # of poses or positions, or one of these
+        each_one = [getattr(one, "homogeneous", one) for one in target]
+        target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
     shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)  # a target of a Tree has a leading axis
     several = isinstance(shape, tuple) and (
         len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,))
@@ -111,40 +114,39 @@ def _find(
         found = on_all_turns(found, plan, T[0], kinds, start[0], count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
-        free = np.array([not model.collides(x) for x in found.q], dtype=bool)
-        found = found.keep(free)
-        found._put(
-            message=found.message + f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
-        )
+        found = _without(found, [not model.collides(x) for x in found.q], "of them collide and are left out")
     if o.check and len(found):
-        good = np.array([confirmed(plan, q, T[0], kinds) for q in found.q], dtype=bool)
-        if not good.all():
-            found = found.keep(good)
-            found._put(message=f"{found.message}; {len(good) - good.sum()} are not confirmed by Pinocchio and left out")
-            found._put(complete=found.complete and found.certificate is None)
+        certain, good = found.certificate is None, [confirmed(plan, q, T[0], kinds) for q in found.q]
+        found = _without(found, good, "are not confirmed by Pinocchio and left out", certain)
     if plan.robot.constraints and len(found):
-        good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
-        if not good.all():
-            found = found.keep(good)
-            found._put(
-                message=f"{found.message}; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
-            )
+        kept = [constraints_of(plan.robot, q, o).holds for q in found.q]
+        found = _without(found, kept, "do not keep the constraints of the description and are left out")
     if len(found) > count:
         found = found.keep(np.arange(len(found)) < count)
-        found._put(complete=False)
+        found._put(message=f"{found.message}, the {count} nearest are listed (count)")
     if not len(found):
         failed = solver(target, q0)
-        if failed.success and found.complete and kinds == POSES:
-            # All exact solutions break a limit, but a configuration inside the limits is within the tolerances.
-            errors = np.array([failed.position_error]), np.array([failed.orientation_error])
+        if failed.success:
+            # It is between the samples of a family, or beside an exact solution that breaks a limit, inside the tolerances.
+            turned = None if failed.orientation_error is None else np.array([failed.orientation_error])
+            errors = np.array([failed.position_error]), turned
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
             found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
-        elif not failed.success:
+        else:
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
         found._put(message=f"{found.message}; {notice}")
     return found
+
+
+def _without(found: Solutions, good: list[bool], why: str, whole: bool = True) -> Solutions:
+    """Return the solutions that are good; if `whole`, a list of all solutions is then one of all good ones."""
+    if all(good):
+        return found
+    kept = found.keep(np.array(good))
+    kept._put(message=f"{found.message}; {good.count(False)} {why}", complete=found.complete and whole)
+    return kept
 
 
 def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions:
@@ -247,9 +249,8 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         result = _with_search(result, search_solutions(plan, T, kinds, start[None], starts, count), plan)
     if families or made.partial or (made.steps and not complete):
         result = distinct_rows(result, plan)
-    if len(result) > count:
+    if families and len(result) > count:
         result = spread_rows(result, count)
-        result._put(complete=False)
     if made.certificate is not None:
         result._put(branches=None)  # The elimination's solutions have no shoulder, elbow and wrist signs.
         result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)

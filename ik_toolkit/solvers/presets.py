@@ -26,20 +26,27 @@ def list_presets(solver: str) -> list[str]:
 
 
 def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
-    """Read a shipped preset, or a file if the name ends in .toml. Raises InvalidOption."""
+    """Read a shipped preset, or a file if the name ends in .toml, which may be of any solver if `solver` is "auto".
+
+    Raises InvalidOption.
+    """
     name = str(name)  # a pathlib.Path is accepted as well as a text
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:
-        raise InvalidOption(f"solver '{solver}' has no preset '{name}'.{near_match(name, known)} A file ends in .toml")
+        have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
+        others = near_match(name, known) or f" These solvers have presets: {have}."
+        raise InvalidOption(f"solver '{solver}' has no preset '{name}'.{others} A file ends in .toml")
     try:
         if path.stat().st_size > LARGEST:
             raise InvalidOption(f"preset {name} is too large")
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InvalidOption(f"preset {name} cannot be read: {why_unread(error)}") from None
-    if content.get("solver") != solver:
-        raise InvalidOption(f"preset {name} is for solver '{content.get('solver')}', not '{solver}'")
+    of = content.get("solver")
+    if of is None or solver not in (of, "auto"):
+        said = f"is for solver '{of}', not '{solver}'" if of else "does not name its solver"
+        raise InvalidOption(f"preset {name} {said}")
     return content
 
 
@@ -59,10 +66,9 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
     """Make a solver of a registry row from a preset, with some parameters (`values`) changed. Raises InvalidOption."""
     cls = row.load()
+    made = make_rule(row, values or {})  # This raises for a parameter that does not exist, and names it.
     if cls.preset is None:
-        have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
-        raise InvalidOption(f"solver '{row.name}' has no presets; these have: {have}")
-    make_rule(row, values or {})  # This raises for a parameter that does not exist, and names it.
+        return made._replace(**{**load_preset(row.name, name, cls._fields)[0], **(values or {})})
     return cls.preset(name)._replace(**(values or {}))
 
 

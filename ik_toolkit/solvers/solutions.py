@@ -85,13 +85,13 @@ class Solutions(ReadOnly):
         return self.q[k]
 
     def keep(self, rows: np.ndarray) -> "Solutions":
-        """Return only some of the solutions, chosen by indices or booleans."""
-        rows = np.arange(len(self))[rows]
+        """Return some of the solutions, chosen by indices or booleans; the list is complete only if it was and has all of them."""
+        rows = np.atleast_1d(np.arange(len(self))[rows])
         orientation = self.orientation_error
         return Solutions(
             self.robot, self.q[rows], self.distance[rows],
             (self.position_error[rows], None if orientation is None else orientation[rows]),
-            self.complete, self.solver, self.message, self.families,
+            self.complete and len(np.unique(rows)) == len(self), self.solver, self.message, self.families,
             None if self.branches is None else self.branches[rows], tuple(self.found_by[k] for k in rows),
             self.certificate,
         )  # fmt: skip
@@ -126,7 +126,7 @@ class Solutions(ReadOnly):
             )
         ]
         head = ("", *self.robot.joint_names, "distance", "position error", *(["found by"] if several else []))
-        which = f"{len(self)} solution{'s' * (len(self) != 1)}" + (", which are all" if self.complete else "")
+        which = f"{len(self)} solution{'s' * (len(self) != 1)}" + ("; there are no others" if self.complete else "")
         how = "ik.view(robot, list(solutions)) shows them, ik.plot(solutions) draws them as lines."
         return TextTable(which, self.message, head, rows, how).html()
 

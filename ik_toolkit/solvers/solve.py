@@ -169,7 +169,7 @@ class Solver(ReadOnly):
         prismatic joint it takes some 20 microseconds.
 
         Args:
-            target: As for the solver, or targets (N, 4, 4) or (N, 3).
+            target: As for the solver, or targets (N, 4, 4) or (N, 3), also as a list.
             q0: Configuration (n,) [rad or m], by default home.
             starts: Number of random starts of a search.
             count: Largest number of solutions.

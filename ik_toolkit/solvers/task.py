@@ -123,6 +123,27 @@ def _counting(counts: Counts, kind: Any) -> np.ndarray:
     return rows
 
 
+def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options) -> np.ndarray:
+    """Return the Jacobians (K, 6 F, n) of the errors at solutions Q (K, n), lengths over the scale, in the axes of option `frame`.
+
+    T (4, 4) or (F, 4, 4) are the targets. Rows are 0 where nothing counts or slack is left.
+    """
+    poses, J = robot.chain.forward(Q, jacobian=True)
+    J = J.reshape(len(Q), len(kinds), 2, 3, -1)
+    J[:, :, 0] /= robot.chain.scale
+    for f, (counts, kind) in enumerate(zip(what_counts(robot, o), kinds, strict=True)):
+        turned = poses.reshape(len(Q), -1, 4, 4)[:, f, :3, :3]
+        if (axis := free_axis(counts, kind)) is not None:
+            a = turned @ axis
+            J[:, f, 1] -= a[..., None] * np.einsum("ki,kin->kn", a, J[:, f, 1])[:, None]
+        if counts.frame != "base":
+            R = np.broadcast_to(T.reshape(-1, 4, 4)[f, :3, :3] if counts.frame == "target" else turned, turned.shape)
+            J[:, f] = np.einsum("kji,kajn->kain", R, J[:, f])
+        rows = _counting(counts._replace(free_turn=None), kind if axis is None else KIND.pose)
+        J[:, f, ~(rows & (np.array(counts.slack or NONE) == 0.0)).reshape(2, 3)] = 0.0
+    return J.reshape(len(Q), 6 * len(kinds), -1)
+
+
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
     """Return the Task record of each tip for the compiled search. Raises InvalidOption if options and kinds of target disagree."""
     scale, tasks = robot.chain.scale, []

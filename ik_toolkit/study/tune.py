@@ -146,7 +146,7 @@ class TuneResult:
         return text
 
     def save(self, file: str | Path) -> Path:
-        """Write the rule to a preset file, which `ik solve --preset FILE` and `preset(FILE)` read. Returns its path."""
+        """Write the rule to a file for `ik solve --preset`, PID.preset and StateSpace.preset. Returns its path."""
         kept = self.scores[self.kept]
         low, high = kept.interval
         about = {

@@ -140,7 +140,7 @@ def test_a_free_flyer_of_a_given_model_is_solved_for(flyer):
     assert robot.to_pinocchio(robot.home, rest=full).shape == full.shape
     still = ik.Robot(model, tip="left_foot", base="body")
     assert still.joint_names == ("left_hip", "left_knee")
-    with pytest.raises(InvalidOption, match="already has a floating base"):
+    with pytest.raises(InvalidOption, match="already has a base that moves"):
         ik.Robot(model, tip="left_foot", on_base="floating", base_limits=(-1, 1))
 
 

@@ -103,6 +103,22 @@ def test_what_a_planar_joint_does():
     assert "its plane is that of y and z" in [str(f) for f in check_urdf(text) if str(f).startswith("joint 'j0'")][1]
 
 
+def test_limits_that_a_controller_keeps_and_we_do_not_are_said():
+    soft = '<safety_controller soft_lower_limit="{}" soft_upper_limit="{}" k_velocity="1"/>'
+    for low, high, said in (("-0.5", "1", True), ("-1", "0.9", True), ("-1", "1", False), ("-2", "2", False)):
+        text = chain(1).replace(LIMIT, LIMIT + soft.format(low, high))
+        assert [
+            f"soft limits {low} to {high} are narrower than -1 to 1" in note for note in require_loadable(text)
+        ] == [True] * said
+    assert require_loadable(chain(1).replace(LIMIT, LIMIT + '<safety_controller k_velocity="1"/>')) == ()
+
+
+@pytest.mark.parametrize(("low", "either"), [(2, True), (1.5, True), (1, False)])
+def test_advice_on_reversed_limits_names_each_range_once(low, either):
+    text = chain(1, "prismatic").replace('lower="-1"', f'lower="{low}"').replace('upper="1"', 'upper="-1"')
+    assert [("or change their signs" in f.advice) for f in check_urdf(text)] == [either]
+
+
 def test_long_chains():
     assert "more than 1,000 joints" in refusal(chain(1001, "fixed"))
     assert pin.buildModelFromXML(load(chain(1000, "fixed")), True).nframes == 2002

@@ -37,6 +37,8 @@ def test_models(arm):
         ik.Robot(arm.model, tip=arm.tip, on_base="plane")
     with pytest.raises(ModelError, match=r"no moving joint between base '.*' and tip '.*': nothing to solve"):
         ik.Robot(arm.model, tip=arm.base)
+    with pytest.raises(ModelError, match=rf"but those that carry the base \({arm.joint_names[-1]}, .*\), which rest"):
+        ik.Robot(arm.model, base=arm.tip, tip=arm.base)
 
 
 def test_configurations(arm):

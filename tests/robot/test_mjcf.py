@@ -86,6 +86,7 @@ def test_followers_of_equalities(arm):
     assert finger.joint_names == JOINTS
     slid = [(finger.fk(x).inverse() * ik.Robot.load(arm, tip="lower").fk(x)).translation for x in np.eye(7)[[0, 5]]]
     assert slid[0][1] == pytest.approx(-0.1) and slid[1][1] == pytest.approx(-0.3)
+    assert np.isinf(finger.velocity_limits).all() and not any("rad/s" in note for note in finger.notes)
 
 
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
@@ -138,6 +139,29 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
         "base_z",
         "base_yaw",
     )
+
+
+FREE = """<mujoco><worldbody><body name="trunk" pos="0.1 0 0.4" euler="10 20 30"><freejoint name="f"/><geom size=".1"/>
+<body name="leg" pos="0.2 0 0"><joint name="hip" axis="0 1 0" range="-60 60"/><geom size=".05"/>
+<site name="foot" pos="0 0 -0.2"/></body></body>
+</worldbody><keyframe><key name="stand" qpos="0.3 0.2 0.5 0.8 0 0.6 0 0.4"/></keyframe></mujoco>"""
+BALL = '<body name="ball" pos="0.7 0.1 0.3" euler="0 0 40"><freejoint/><geom size=".1"/></body></worldbody>'
+
+
+def test_free_bodies_stand_where_the_file_and_its_keyframes_have_them():
+    model = mujoco.MjModel.from_xml_string(FREE)
+    data, robot = mujoco.MjData(model), ik.Robot.load(FREE, tip="foot", base_limits=(-1, 1))
+    for q in (np.zeros(7), robot.named["stand"]):
+        mujoco.mj_kinematics(model, data)
+        assert np.abs(robot.fk(q).translation - data.site("foot").xpos).max() < 1e-12
+        assert np.abs(robot.fk(q).rotation.ravel() - data.site("foot").xmat).max() < 1e-12
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    scene = (
+        FREE.partition("<keyframe>")[0].replace('<freejoint name="f"/>', "").replace("</worldbody>", BALL) + "</mujoco>"
+    )
+    ball = robot.fk(np.zeros(7)) * ik.Robot.load(scene, tip="foot", base="ball").fk([0.0]).inverse()
+    wanted = ik.pose((0.7, 0.1, 0.3), rpy=(0.0, 0.0, np.radians(40.0)))
+    assert np.abs(ball.homogeneous - wanted).max() < 1e-12
 
 
 DEFAULTS = "".join(

@@ -1,11 +1,13 @@
 """Guessed tips: by the names that arm descriptions use, never between two equally likely ones."""
 
+import json
 import logging
 
 import pytest
 from robots import joint
 
 import ik_toolkit as ik
+from ik_toolkit.cli import main
 from ik_toolkit.errors import FrameNotFound
 from ik_toolkit.robot.library import DATA_ROBOTS, find
 from ik_toolkit.robot.load import read_source
@@ -99,6 +101,16 @@ def test_a_sensor_of_one_joint_is_no_tip_of_two_arms():
         text += joint(f"{side}_b", "revolute", f"{side}_upper", f"{side}_force_sensor")
     with pytest.raises(FrameNotFound, match="several likely tips: left_force_sensor, right_force_sensor"):
         ik.Robot.load(text + "</robot>")
+
+
+def test_the_tips_listed_are_the_known_ones_and_those_that_can_be_loaded(tmp_path, capsys):
+    assert main(["info", "brokk_hydrolek", "--list-tips", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["tips"]) == {"left_tip", "right_tip", "left_jaw", "right_jaw"}
+    file = tmp_path / "scene.urdf"
+    text = '<robot name="r"><link name="o"/>' + joint("j1", "revolute", "o", "a") + joint("j2", "revolute", "a", "b")
+    file.write_text(text + joint("free", "floating", "o", "thing") + "</robot>")
+    assert main(["info", str(file), "--list-tips", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tips"] == ["b"]
 
 
 def test_joints_are_tips_too():

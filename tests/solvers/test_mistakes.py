@@ -128,7 +128,9 @@ def test_presets(arm, tmp_path):
         InvalidOption, match=rf"solver 'pid' has no preset '{name}x'\. Did you mean '{name}'.*A file ends in .toml"
     ):
         from_preset(find_row("pid"), f"{name}x")
-    with pytest.raises(InvalidOption, match="solver 'lm' has no presets; these have: pid, state-space"):
+    with pytest.raises(
+        InvalidOption, match=f"solver 'lm' has no preset '{name}'. These solvers have presets: pid, state-space"
+    ):
         from_preset(find_row("lm"), name)
     file = tmp_path / "mine.toml"
     for text, said in (

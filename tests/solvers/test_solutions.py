@@ -161,3 +161,36 @@ def test_no_more_than_asked_for_are_listed():
     for _ in range(5):
         found = ik.solve_all(robot, robot.fk(robot.random_q(rng)), count=1)
         assert len(found) == 1 and not found.complete
+
+
+def test_a_free_turn_about_a_joint_and_slack_leave_infinitely_many():
+    arm = ik.Robot.load("hydrolek_7w").locked({"wrist_pitch": -0.7})
+    target = arm.fk(arm.home)
+    turned = ik.solve_all(arm, target, "lm", starts=40, free_turn=(0, 0, 1))
+    assert turned.families[0].joints == ("wrist_roll",) and "infinitely many" in turned.message
+    assert ik.solve_all(arm, target, "lm", starts=40, free_turn=(1, 0, 0)).families == ()
+    six = ik.Robot.load("hydrolek_7w")
+    for frame in ("base", "tip", "target"):
+        half = {"mask": (1, 1, 1, 1, 1, 0.5), "frame": frame, "starts": 40}
+        assert ik.solve_all(six, target, **half).families == ()
+        assert ik.solve_all(six, target, slack=(0.01, 0, 0, 0, 0, 0), **half).families
+
+
+def test_what_solve_finds_is_listed_also_between_the_samples_of_a_family():
+    arm, rng = ik.Robot.load("inspection_7dof"), np.random.default_rng(1)
+    column = arm.joint_names.index("column_yaw")
+    for q in arm.random_q(rng, 20):
+        near = np.clip(q[column] + [-0.05, 0.05], arm.lower[column], arm.upper[column])
+        found = ik.solve_all(arm, arm.fk(q), limits={"column_yaw": near})
+        if ik.solve(arm, arm.fk(q), limits={"column_yaw": near}).success:
+            assert len(found) and not found.complete and found.position_error.max() < 1e-6
+
+
+def test_a_part_of_a_list_is_not_complete_and_a_list_that_was_cut_says_so():
+    arm = ik.Robot.load("hydrolek_7w")
+    every = ik.solve_all(arm, arm.fk(arm.home), limits=False)
+    assert every.complete and every.keep(np.argsort(every.q[:, 0])).complete and not every.keep([0]).complete
+    cut = ik.solve_all(arm, arm.fk(arm.home), limits=False, count=2)
+    assert len(cut) == 2 and not cut.complete and "the 2 nearest are listed" in cut.message
+    both = ik.Solver(arm).all([arm.fk(arm.home), arm.fk(arm.home + 0.1)])
+    assert len(both) == 2 and both[1].complete and np.allclose(both[1].q[0], arm.home + 0.1, atol=1e-5)

@@ -292,6 +292,22 @@ def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["iterations"] < 100
 
 
+@pytest.mark.parametrize("solver", ["lm", "dls", "transpose"])
+def test_the_preset_of_every_tuned_solver_solves(tmp_path, capsys, solver):
+    file = tmp_path / "mine.toml"
+    few = ["--targets", "20", "--held-out", "1", "--generations", "1", "--tolerance", "1e-4"]
+    assert main(["tune", "planar_2r", solver, *few, "-o", str(file)]) == 0
+    capsys.readouterr()
+    asked = ["solve", "planar_2r", "--xyz", "1", "0.5", "0", "--preset", str(file), "--json"]
+    assert main(asked) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["solver"] == solver and 1e-9 < told["position_error"] < 1e-4
+    assert main([*asked, "--tolerance", "1e-9"]) == 0  # what is asked for precedes what the preset says
+    assert json.loads(capsys.readouterr().out)["position_error"] < 1e-9
+    file.write_text("[parameters]\ndamping = 1\n")
+    assert main(asked) == 2 and "does not name its solver" in capsys.readouterr().err
+
+
 def test_command_refuses_with_a_sentence(tmp_path, capsys):
     for arguments in (
         ["tune", "hydrolek_7w", "ccd"],

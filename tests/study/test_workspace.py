@@ -197,6 +197,8 @@ def test_command(tmp_path, capsys):
     assert main(arguments) == 0
     assert "500 of 500" in capsys.readouterr().out
     assert main(["workspace", "hydrolek_7w", "--preset", "lm=x"]) == 2
-    assert "'lm' has no presets; these have: pid, state-space" in " ".join(capsys.readouterr().err.split())
+    assert "'lm' has no preset 'x'. These solvers have presets: pid, state-space" in " ".join(
+        capsys.readouterr().err.split()
+    )
     assert main(["workspace", "hydrolek_7w", "--preset", "pid"]) == 2
     assert "SOLVER=PRESET" in capsys.readouterr().err

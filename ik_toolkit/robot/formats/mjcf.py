@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import MissingExtra, ModelError
-from ..base import BALL_PITCH, TURNS
+from ..base import BALL_PITCH, BASES, ROOT, TURNS
 from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
 from ..rotation import matrix_rpy, quat_matrix
@@ -161,11 +161,7 @@ class _Writer:
             self._fix(f"{link}_fixed", parent, link, T)
             return
         if self.model["joints"][joints[0][0]]["type"] == "free":
-            self.notes.append(
-                f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
-            )
-            # MuJoCo gives the pose of a free body in the world, as the joint's value.
-            add_joint(self.robot, joints[0][1], "floating", parent, link, np.eye(4))
+            self._free_body(*joints[0], link, T)
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
         for j, name in joints:
@@ -189,6 +185,29 @@ class _Writer:
             parent = child
         if off:
             self._fix(f"{link}_fixed", parent, link, T)
+
+    def _free_body(self, j: int, name: str, link: str, T: np.ndarray) -> None:
+        """Write a free joint, whose values count from T, the body's pose in the file; those of MuJoCo are poses in the world."""
+        self.notes.append(
+            f"free joint '{name}' of '{link}' is held still; that of the robot's own base moves with base_limits="
+        )
+        add_joint(self.robot, name, "floating", "world", link, T)
+        joints, place = self.model["joints"], self.model["joints"][j]["place"]
+        alone = len({self._top(joint["body"]) for joint in joints}) == 1
+
+        def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
+            M = np.linalg.inv(T) @ _matrix(qpos[place : place + 3], qpos[place + 3 : place + 7])
+            parts = (*M[:3, 3].tolist(), *matrix_rpy(M[:3, :3])[::-1].tolist())
+            names = (f"{ROOT if alone else name}_{part}" for part in BASES["floating"])
+            return list(zip(names, parts, strict=True))
+
+        self.values.append(values)
+
+    def _top(self, body: int) -> int:
+        """Return the body below the world that carries a body."""
+        while parent := self.model["bodies"][body]["parent"]:
+            body = parent
+        return body
 
     def _single(
         self, name: str, joint: dict[str, Any], T: np.ndarray, held: float | None, limits: Sequence[float] | None

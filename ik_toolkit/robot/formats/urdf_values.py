@@ -201,6 +201,12 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
     elif low > high:
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
+    soft = [finite_at(joint.first("safety_controller"), f"soft_{end}_limit") for end in ("lower", "upper")]
+    if all(soft) and (soft[0][0] > low or soft[1][0] < high):
+        told = (
+            f"its soft limits {soft[0][0]:g} to {soft[1][0]:g} are narrower than {low:g} to {high:g}, and are not used"
+        )
+        yield odd(joint, told, "limits= (--limit) keeps a solve inside them", line, at_load=True)
     if low == high:
         leader = (joint.first("mimic") or {}).get("joint")
         holds = f", and holds joint '{leader}', which it mimics" if leader else ""
@@ -216,7 +222,7 @@ def reversed_advice(low: float, high: float, turns: bool) -> str:
     """Return advice on reversed limits, which may mean either of two ranges."""
     swapped = f"swap them if {high:g} to {low:g} is meant"
     if not turns:
-        return f"{swapped}, or change their signs and the axis if {-low:g} to {-high:g} is meant"
+        return swapped + f", or change their signs and the axis if {-low:g} to {-high:g} is meant" * (low != -high)
     return f"{swapped}, or write {low:g} to {high + 2.0 * math.pi:.4g} if the range across half a turn is meant"
 
 

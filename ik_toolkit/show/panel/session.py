@@ -15,6 +15,7 @@ from ...robot.geometry.collision import CollisionModel
 from ...robot.geometry.distance import Near
 from ...robot.library import find
 from ...robot.pose import check_target, pose
+from ...robot.probe import screw
 from ...robot.robot import Robot
 from ...robot.rotation import matrix_quat, matrix_rpy
 from ...robot.tips import path_ends
@@ -348,13 +349,13 @@ class Session:
             return caption, ("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]"), rows
         seen: dict[str, tuple[str, ...]] = {}
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
-            q = self.robot.home[place]
-            J, p = arm.jacobian(q), arm.fk(q).translation
-            for name, kind, column in zip(arm.joint_names, arm.joint_kinds, J.T, strict=True):
-                v, w = column[:3], column[3:]
-                axis = w if kind != "prismatic" else v
-                through = _triple(p + np.cross(w, v) / (w @ w)) if kind != "prismatic" else "any"
-                seen[name] = (name, kind, _triple(axis / max(float(np.linalg.norm(axis)), 1e-12)), through)
+            arm._fk(self.robot.home[place])
+            T_base = arm.data.oMf[arm._ids[0]]
+            for name, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
+                j = arm.model.getJointId(name)
+                joint = T_base.actInv(arm.data.oMi[j])
+                axis = _triple(joint.rotation @ screw(arm.model, arm.data, j)[2])
+                seen[name] = (name, kind, axis, _triple(joint.translation) if kind != "prismatic" else "any")
         rows = [seen[name] for name in self.robot.joint_names]
         return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
 

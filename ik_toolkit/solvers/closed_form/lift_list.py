@@ -198,7 +198,7 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
         lifts = np.concatenate([lifts, *(sign * np.linspace(a, b, SPREAD_LIFTS + 2)[1:-1] for a, b in spans)])
         if spans:
             feasible = " and ".join(f"{a:.6g} to {b:.6g} m" for a, b in spans)
-            words = f" at {len(lifts)} lifts, of the infinitely many from {feasible},"
+            words = f" at {len(lifts)} lifts from {feasible}"
     q, broken = np.empty((8 * len(lifts), robot.n)), np.empty(8 * len(lifts))
     found = every_branch(p, T, box, lifts, q, broken)
     q, broken, marks = q[:found], broken[:found], np.empty((found, 3), dtype=np.int8)
