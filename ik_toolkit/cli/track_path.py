@@ -119,7 +119,9 @@ class TrackOptions(PathOptions):
         "clip: clip each joint on its own, as in the papers.",
         default="slow",
     )
-    max_stretch: float = option("X", "With slow: abandon a run after this many times its duration.", default=10.0)
+    max_stretch: float = option(
+        "X", "With slow: abandon a run after this many times its duration.", default=10.0, needs=["--on-limit slow"]
+    )
     settle: float | None = option(
         "S", "Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."
     )
