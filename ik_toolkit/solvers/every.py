@@ -38,19 +38,21 @@ class CertainLists(NamedTuple):
     # (N, 2) index of the first row of each pose, and number of its rows, or -1 if its list is not certain
     counts: list[list[int]]
     notes: np.ndarray  # (N, .) evidence that each list is complete, see `certificate_of`
+    notice: str  # that q0 was clamped, or ""
 
     def rows(self, k: int) -> np.ndarray:
         """Return the rows of `table` that belong to pose k."""
         first, kept = self.counts[k]
         return self.table[first : first + kept]
 
-    def solutions(self, k: int) -> Solutions | None:
-        """Return the Solutions of pose k, or None if its list is not certain."""
+    def solutions(self, k: int, notice: str = "") -> Solutions | None:
+        """Return the Solutions of pose k, with a notice in their message, or None if its list is not certain."""
         if self.counts[k][1] < 0:
             return None
         rows, certificate = self.rows(k), certificate_of(self.notes[k].tolist())
         words = f"{certificate.solutions} branches"
         words = f"{len(rows)} of {words} are inside the limits" if self.plan.options.limits else words
+        words = f"{words}; {notice}" if notice else words
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
         return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=certificate)
 
@@ -213,10 +215,10 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
     Their Solutions are what `_listed` returns, in less time.
     """
     opt, p, box = _prepared(plan, POSES)
-    if q0 is not None:
-        box = box.copy()
-        box[2] = plan.check_start(q0)[0]
-    return CertainLists(plan, *plan.rule.certain(plan.chain, p, opt, T, box, count))
+    start, notice = (box[2], "") if q0 is None else plan.check_start(q0)
+    box = box if q0 is None else np.vstack([box[:2], start, box[3:]])
+    table, counts, notes = plan.rule.certain(plan.chain, p, opt, T, box, count)
+    return CertainLists(plan, table, counts, notes, notice)
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
