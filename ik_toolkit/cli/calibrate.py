@@ -10,7 +10,7 @@ import typer
 from ..errors import InvalidOption, InvalidTarget
 from ..files import as_output, write_table
 from ..text import figure, length, numbers, vector
-from .command import PLOTS, command, option, options
+from .command import PLOTS, alone, command, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
 from .output import heading, notice, show, table, turns, write_json
 from .pictures import chart
@@ -31,19 +31,31 @@ class CalibrateOptions:
         "What may be wrong: any of joints,frames,tool,base; base for an instrument with a frame of its own.",
         default="joints,frames,tool",
     )
-    place: list[str] | None = option("X,Y,Z", "Known place of socket 0, 1, ... [m], one each; may be repeated.")
-    distance: list[str] | None = option("A:B:M", "Known distance [m] of sockets A and B; may be repeated.")
-    noise: str | None = option("M [RAD]", "Noise of a measurement [m], of poses also [rad]; default: estimated.")
-    prior: str | None = option("M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.")
+    place: list[str] | None = option(
+        "X,Y,Z", "Known place of socket 0, 1, ... [m], one each; may be repeated.", needs=["--data"]
+    )
+    distance: list[str] | None = option(
+        "A:B:M", "Known distance [m] of sockets A and B; may be repeated.", needs=["--data"]
+    )
+    noise: str | None = option(
+        "M [RAD]", "Noise of a measurement [m], of poses also [rad]; default: estimated.", needs=["--data"]
+    )
+    prior: str | None = option(
+        "M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.", needs=["--data"]
+    )
     suggest: int | None = option(
         "N", "Write N configurations to measure to -o, a .csv; with --data beside those measured."
     )
     output: Path | None = option(
         "FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[]
     )
-    html: Path | None = option("FILE", "Write all of it as one HTML page.", writes=[".html", ".htm"])
-    plot: Path | None = option("FILE", "Draw residuals and errors to a .png, .pdf or .svg file.", writes=PLOTS)
-    seed: int = option("N", "Seed of the configurations that --suggest chooses from.", default=0, panel="Solver")
+    html: Path | None = option("FILE", "Write all of it as one HTML page.", writes=[".html", ".htm"], needs=["--data"])
+    plot: Path | None = option(
+        "FILE", "Draw residuals and errors to a .png, .pdf or .svg file.", writes=PLOTS, needs=["--data"]
+    )
+    seed: int = option(
+        "N", "Seed of the configurations that --suggest chooses from.", default=0, panel="Solver", needs=["--suggest"]
+    )
 
 
 @command
@@ -60,6 +72,8 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     """
     if asked.data is None and asked.suggest is None:
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")
+    if asked.suggest is not None:
+        alone("--suggest", {"--html": asked.html, "--plot": asked.plot})
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)

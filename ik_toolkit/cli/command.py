@@ -37,23 +37,33 @@ def option(
     panel: str | None = None,
     writes: Sequence[str] | None = None,
     complete: Callable[..., Any] | None = None,
+    needs: Sequence[str] = (),
 ) -> Any:
     """Return a dataclass field for an option with a value, which is named after the field unless `names` are given.
 
     A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
     `--q "0.1 -0.2"` mean the same. panel: the group in the help, by default the class's. writes: suffixes of the file
-    that the option names and `ik` writes; an empty list allows any. complete: completes a word in the shell.
+    that the option names and `ik` writes; an empty list allows any. complete: completes a word in the shell. needs: options
+    ("--retime", "--on-limit slow", an argument as "PAPER") without which it has no effect; one of them must be given, if
+    the command has any of them.
     """
     check = None if writes is None else writable(*writes)
     made = typer.Option(
         *names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check, autocompletion=complete
     )
-    return _field(default, made)
+    return _field(default, made, needs)
 
 
-def flag(name: str, meaning: str, default: bool = False, panel: str | None = None, hidden: bool = False) -> Any:
+def flag(
+    name: str,
+    meaning: str,
+    default: bool = False,
+    panel: str | None = None,
+    hidden: bool = False,
+    needs: Sequence[str] = (),
+) -> Any:
     """Return a dataclass field for an option without a value: --name, or --name/--no-name if it can be negated."""
-    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden))
+    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden), needs)
 
 
 def argument(metavar: str, meaning: str, default: Any = REQUIRED, complete: Callable[..., Any] | None = None) -> Any:
@@ -67,8 +77,8 @@ def same(record: Any, name: str, default: Any = REQUIRED) -> Any:
     return field(default=one.default if default is REQUIRED else default, metadata=one.metadata)
 
 
-def _field(default: Any, info: Any) -> Any:
-    return field(default=default, metadata={"info": info})
+def _field(default: Any, info: Any, needs: Sequence[str] = ()) -> Any:
+    return field(default=default, metadata={"info": info, "needs": needs})
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
@@ -108,10 +118,11 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             **{name: cls(**{one.name: values[one.name] for one in _declared(cls)}) for name, cls in records.items()}
         )
 
-    parameters = []
+    parameters, needs = [], {}
     for record in records.values():
         types = get_type_hints(record)
         for one in _declared(record):
+            needs[one.name] = one.metadata["needs"]
             kind, info = inspect.Parameter.KEYWORD_ONLY, one.metadata["info"]
             default = inspect.Parameter.empty if one.default is MISSING else one.default
             if number := {*get_args(types[one.name]), types[one.name]} & {int, float}:
@@ -120,14 +131,14 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             parameters.append(inspect.Parameter(one.name, kind, default=default, annotation=annotation))
     run.__annotations__ = {one.name: one.annotation for one in parameters}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.is_command = True  # type: ignore[attr-defined]
+    run.needs = needs  # type: ignore[attr-defined]
     return run
 
 
 def add_commands(app: typer.Typer, module: Any) -> None:
     """Add the commands of a module to the command line program."""
     for one in vars(module).values():
-        if getattr(one, "is_command", False) and one.__module__ == module.__name__:
+        if hasattr(one, "needs") and one.__module__ == module.__name__:
             # the docstring is None under python -OO
             said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
@@ -218,6 +229,7 @@ class Command(typer.core.TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InvalidOption."""
+        self._require_effect(ctx)
         written = [
             ctx.params[one.name] for one in self.params if one.callback and isinstance(ctx.params[one.name], Path)
         ]
@@ -239,6 +251,32 @@ class Command(typer.core.TyperCommand):
         except IKError as error:
             error.args = (in_flags(str(error), self), *error.args[1:])
             raise
+
+    def _require_effect(self, ctx: Any) -> None:
+        """Raise InvalidOption for an option that was given without any of those that it needs."""
+        values = {
+            name.upper() if one.param_type_name == "argument" else name: ctx.params[one.name]
+            for one in self.params
+            for name in one.opts
+        }
+
+        def met(need: str) -> bool:
+            name, _, value = need.partition(" ")
+            return values[name] == value if value else values[name] not in (None, False, [], ())
+
+        rules: dict[str, Sequence[str]] = self.callback.needs  # type: ignore[union-attr]
+        for one in self.params:
+            needs = [need for need in rules[one.name] if need.partition(" ")[0] in values]
+            if needs and ctx.get_parameter_source(one.name).name == "COMMANDLINE" and not any(map(met, needs)):
+                names = "/".join([*one.opts, *one.secondary_opts])
+                raise InvalidOption(f"{names} has no effect without {' or '.join(needs)}")
+
+
+def alone(option: str, others: dict[str, Any]) -> None:
+    """Raise InvalidOption if any of the others (values by names) is given beside an option that leaves them without effect."""
+    given = [name for name, value in others.items() if value]
+    if given:
+        raise InvalidOption(f"{option} goes without {' and '.join(given)}")
 
 
 def _joined(words: Sequence[str], several: set[str]) -> list[str]:

@@ -14,7 +14,7 @@ import typer
 
 from ..errors import extras
 from . import first_use
-from .command import command, flag, options
+from .command import alone, command, flag, options
 from .options import JsonOutput
 from .output import notice, show, table, write_json
 
@@ -44,6 +44,7 @@ def doctor(asked: DoctorOptions) -> None:
     ik doctor --prepare
     """
     if asked.prepare:
+        alone("--prepare", {"--json": asked.as_json})
         _prepare(asked.background)
         return
     rows = [*_versions(), *_extras(), _compiler(), _cache(), *_background(), _pinocchio(), _robots()]

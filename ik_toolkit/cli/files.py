@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from ..errors import CONTROLS, IKError, InvalidOption, ModelError
+from ..errors import CONTROLS, IKError, ModelError
 from ..files import write_whole
 from ..text import in_shell
 from .command import argument, command, flag, option, options, same
@@ -56,10 +56,15 @@ class CheckOptions(FileOptions):
     sampled: bool = flag(
         "--self-collision", "Find the pairs of links that always or never touch and need no collision test."
     )
-    samples: int | None = option("N", "Configurations to sample; default 10000.")
-    seed: int = option("N", "Seed of the samples.", default=0, panel="Solver")
+    samples: int | None = option("N", "Configurations to sample; default 10000.", needs=["--self-collision"])
+    seed: int = option("N", "Seed of the samples.", default=0, panel="Solver", needs=["--self-collision"])
     output: Path | None = option(
-        "FILE.srdf", "With --self-collision: write these pairs.", "-o", "--output", writes=[".srdf"]
+        "FILE.srdf",
+        "With --self-collision: write these pairs.",
+        "-o",
+        "--output",
+        writes=[".srdf"],
+        needs=["--self-collision"],
     )
 
 
@@ -105,8 +110,6 @@ def check(asked: CheckOptions) -> None:
     ik check hydrolek_7w
     ik check arm.urdf --package-dir meshes
     """
-    if not asked.sampled and (asked.samples is not None or asked.output is not None):
-        raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
     from ..robot.library import find

@@ -45,6 +45,9 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     from ..servo.path_stability import least_rate
     from ..servo.stability import check_gains
 
+    idle = {"--duration": asked.duration, "--position-only": asked.position_only, "--q0": asked.q0}
+    if asked.shape is None and (name := next((name for name, value in idle.items() if value), None)):
+        raise InvalidOption(f"{name} has no effect without --path")
     arm = robot.load(robot.choose_tips())
     along_path: dict[str, Any] = {}
     least: Any = None

@@ -118,6 +118,7 @@ class RobotOptions:
     limit: list[str] | None = option(
         "JOINT:LOWER:UPPER",
         "Narrow the limits of a joint [rad, m; degrees with --deg]; an end left empty stays; may be repeated.",
+        needs=["--limits"],
     )
     package_dir: list[str] | None = option("DIR", "Folder to search for package:// names.")
     xacro_arg: list[str] | None = option("NAME:=VALUE", "Value of a xacro file's argument; may be repeated.")
@@ -130,7 +131,7 @@ class RobotOptions:
         """Return the tip of a Robot, or a list of tips for a Tree if several are given."""
         return self.tip[0] if self.tip and len(self.tip) == 1 else self.tip or None
 
-    def load(self, tips: str | list[str] | None, limits: bool = True) -> Any:
+    def load(self, tips: str | list[str] | None) -> Any:
         """Load the Robot (for a list of tips, or a group with several: the Tree) that the options describe."""
         robot = self._read(tips)
         if self.lock:
@@ -142,12 +143,8 @@ class RobotOptions:
                     raise InvalidOption(f"--lock {joint} takes one number, not '{text}'{hint}")
                 values[joint] = self._value(robot, joint, value[0])
             robot = robot.locked(values)
-        if not self.limit:
-            return robot
-        if not limits:
-            raise InvalidOption("--limit narrows limits that --no-limits leaves out; give one of them")
         ranges = {}
-        for text in self.limit:
+        for text in self.limit or ():
             joint, *ends = text.rsplit(":", 2)
             read: list[Any] = [numbers(end) or [] if end.strip() else [None] for end in ends]
             if len(ends) != 2 or any(len(value) != 1 for value in read):
@@ -156,7 +153,7 @@ class RobotOptions:
             if joint in ranges:
                 raise InvalidOption(f"--limit names joint '{joint}' twice")
             ranges[joint] = [x if x is None else self._value(robot, joint, x) for x, *_ in read]
-        return robot.narrowed(ranges)
+        return robot.narrowed(ranges) if ranges else robot
 
     def _value(self, robot: Any, joint: str, x: float) -> float:
         """Convert a typed joint value (degrees with --deg) to rad or m."""
@@ -329,12 +326,15 @@ class ToleranceOptions:
 class FileOptions:
     """Options for units and angles of the poses in a file."""
 
-    length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
+    length_unit: str | None = option(
+        "UNIT", "Unit of positions in the file: m (default), cm, mm or in.", needs=["--targets", "--poses", "--data"]
+    )
     euler: str | None = option(
         "AXES",
         "Axes about which three angles in the file turn one after another, such as zyx or zyz; they move with the body (SciPy's "
         "ZYX). For fixed axes give the reverse order. Columns roll,pitch,yaw or rx,ry,rz are about x, y and z; a,b,c are in "
         "order. Default: URDF's roll, pitch, yaw.",
+        needs=["--targets", "--poses", "--data"],
     )
 
     def convention(self, deg: bool) -> Any:

@@ -42,19 +42,23 @@ class PathOptions:
         "--retime", "Time the path optimally within --velocity and --acceleration; -o writes the trajectory."
     )
     velocity: str | None = option(
-        "V [V2 ...]", "With --retime: speed limits [rad/s, m/s], one, or one per joint; default: the robot's."
+        "V [V2 ...]",
+        "With --retime: speed limits [rad/s, m/s], one, or one per joint; default: the robot's.",
+        needs=["--retime"],
     )
     acceleration: str | None = option(
-        "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
+        "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint.", needs=["--retime"]
     )
     tip_speed: float | None = option(
-        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow and exceeded nowhere."
+        "M/S",
+        "With --retime: speed of the tip along the path, kept where the limits allow and exceeded nowhere.",
+        needs=["--retime"],
     )
     path_tolerance_mm: float | None = option(
         "MM",
         "How far the tip may leave the chords between poses; default 1, and with --retime the chords' own sagitta.",
     )
-    rate: float = option("HZ", "With --retime: samples per second.", default=100.0)
+    rate: float = option("HZ", "With --retime: samples per second.", default=100.0, needs=["--retime"])
     output: Path | None = option(
         "FILE",
         "Write the path to .csv, .npz or .json; with --retime the trajectory to .csv, or to .json as a ROS JointTrajectory.",
@@ -66,10 +70,6 @@ class PathOptions:
 
     def check(self) -> None:
         """Raise InvalidOption for options that do not go together."""
-        if not self.retime and (self.velocity is not None or self.acceleration is not None):
-            raise InvalidOption("--velocity and --acceleration belong to --retime")
-        if not self.retime and self.tip_speed is not None:
-            raise InvalidOption("--tip-speed belongs to --retime")
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None:

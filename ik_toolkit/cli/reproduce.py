@@ -17,7 +17,9 @@ class ReproduceOptions(JsonOutput):
     """Options for the paper and the folder of its report."""
 
     paper: str | None = argument("[PAPER]", "Name of a paper; omit to list them.", default=None)
-    output: Path | None = option("DIR", "Folder of the report; default: ./reproduce-PAPER.", "-o", "--output")
+    output: Path | None = option(
+        "DIR", "Folder of the report; default: ./reproduce-PAPER.", "-o", "--output", needs=["PAPER"]
+    )
 
 
 @command

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
 from ..text import plain
-from .command import command, flag, option, options
+from .command import alone, command, flag, option, options
 from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
 from .output import fixed, heading, notice, number, show, table, turns, unit, write_json, write_rows
 
@@ -93,6 +93,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
 
     entry, deg = find(robot.robot), robot.deg
     if robot.list_tips:
+        alone("--list-tips", {"--tip": robot.tip})
         read_args = assignments(robot.xacro_arg, "--xacro-arg", ":=")
         ends = tip_candidates(read_source(robot.robot, robot.package_dir or (), read_args)[1]["model"])
         _show_tips(entry, [robot.load(name) for name in dict.fromkeys((*entry.tips, *ends))], out)

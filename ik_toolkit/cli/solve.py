@@ -92,7 +92,12 @@ class WishOptions:
     """Options for the start, and for preferences among the solutions."""
 
     q0: str | None = option("Q1 Q2 ...", "Start configuration; default: chosen by the solver, or home.")
-    clamp_q0: bool = flag("--clamp-q0/--refuse-q0", "Clamp a start outside the limits, or reject it.", default=True)
+    clamp_q0: bool = flag(
+        "--clamp-q0/--refuse-q0",
+        "Clamp a start outside the limits, or reject it.",
+        default=True,
+        needs=["--q0", "--closest"],
+    )
     joint_weights: str | None = option("W1 W2 ...", "How freely each joint moves; 0 holds it.")
     closest: str | None = option("Q1 Q2 ...", "Return the solution nearest this configuration.")
     follow: float | None = option(
@@ -131,8 +136,10 @@ class ManyOptions:
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
         "--targets",
     )
-    threads: int | None = option("N", "With --targets: threads; default: all cores.")
-    cluster: str | None = option("ADDRESS", "With --targets: use the Dask scheduler at this address.")
+    threads: int | None = option("N", "With --targets: threads; default: all cores.", needs=["--targets"])
+    cluster: str | None = option(
+        "ADDRESS", "With --targets: use the Dask scheduler at this address.", needs=["--targets"]
+    )
 
 
 @options("Output")
@@ -192,12 +199,10 @@ def solve(
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
     """
     _refuse_contradictions(target, wish, many, out)
-    if many.file is None and given(file):
-        raise InvalidOption("--length-unit and --euler go with --targets FILE")
     deg = robot.deg
     aim = target.read(deg) if many.file is None and target.from_q is None else None
     tips = robot.choose_tips(aim if target.targets else None, relations(target.relative), target.posed)
-    arm = robot.load(tips, method.limits)
+    arm = robot.load(tips)
     rule = method.choose(arm)
     aim = aim if target.from_q is None else target.reached(arm, deg)
     options = method.tuned(rule) | given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
@@ -217,8 +222,6 @@ def solve(
 def _refuse_contradictions(target: TargetOptions, wish: WishOptions, many: ManyOptions, out: SolveOutput) -> None:
     """Raise InvalidOption for options that do not go together, or a target that is missing."""
     posed = target.posed or target.direction is not None or target.tip_axis is not None
-    if many.file is None and (many.threads is not None or many.cluster is not None):
-        raise InvalidOption("--threads and --cluster go with --targets FILE")
     if target.from_q is not None and (target.targets or many.file is not None or posed):
         raise InvalidOption("--from-q gives the whole target; omit --xyz, --target and the other pose options")
     if many.file is not None:

@@ -37,12 +37,16 @@ class TargetOptions:
         "--target",
     )
     relative: list[str] | None = option(
-        "TIP:OTHER", "Read the target of TIP in the moving frame of the tip OTHER; may be repeated."
+        "TIP:OTHER",
+        "Read the target of TIP in the moving frame of the tip OTHER; may be repeated.",
+        needs=["--target", "--targets"],
     )
     direction: list[str] | None = option(
         "[TIP:]X Y Z", "Point --tip-axis in this direction; rotation about it is free."
     )
-    tip_axis: list[str] | None = option("[TIP:]X Y Z", "Axis of the tip for --direction; default z.")
+    tip_axis: list[str] | None = option(
+        "[TIP:]X Y Z", "Axis of the tip for --direction; default z.", needs=["--direction"]
+    )
 
     @property
     def oriented(self) -> bool:
@@ -58,8 +62,6 @@ class TargetOptions:
         """Raise InvalidOption for options that do not go together."""
         if self.targets and self.posed:
             raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
-        if self.relative and not self.targets:
-            raise InvalidOption("--relative is for several tips, with a --target for each")
 
     def read(self, deg: bool) -> Any:
         """Return targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
@@ -67,10 +69,7 @@ class TargetOptions:
 
     def _directions(self) -> tuple[Any, Any]:
         """Return the directions and tip axes (3,) of --direction and --tip-axis, for all tips or by tip, or None."""
-        ways, axes = _vectors(self.direction, "--direction", 3), _vectors(self.tip_axis, "--tip-axis", 3)
-        if axes is not None and ways is None:
-            raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
-        return ways, axes
+        return _vectors(self.direction, "--direction", 3), _vectors(self.tip_axis, "--tip-axis", 3)
 
     def _single(self, deg: bool) -> Any:
         """Return a single target: a position (3,) if the orientation is free, a pose (4, 4), or an AxisTarget."""
@@ -148,7 +147,9 @@ class CountOptions:
     free_turn: list[str] | None = option(
         "[TIP:]X Y Z", "Axis of the tip about which it may rotate freely: x, y, z or a vector."
     )
-    frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
+    frame: list[str] | None = option(
+        "[TIP:]base|tip|target", "Axes of --mask and --slack.", needs=["--mask", "--slack", "--free-turn"]
+    )
     priority: str | None = option(
         "LEVEL,...",
         "What comes first: position, orientation, or TIP and TIP:position in order, + between equals; the rest comes last.",

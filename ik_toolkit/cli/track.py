@@ -76,7 +76,7 @@ def track(
     """
     above_zero(asked.rate, "--rate")
     what = counts.read(robot.deg, counts.relative)
-    arm = robot.load(robot.choose_tips(), asked.limits)
+    arm = robot.load(robot.choose_tips())
     q = joint_vector(arm, asked.q0, "--q0", robot.deg)
     own = {name for record in (asked, counts, collisions, tolerances, robot, out) for name in vars(record)}
 

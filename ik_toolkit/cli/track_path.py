@@ -118,8 +118,11 @@ class TrackOptions(PathOptions):
         "slow: slow the reference down to stay on the path; leave: stay on time and leave the path as little as possible; "
         "clip: clip each joint on its own, as in the papers.",
         default="slow",
+        needs=["--limits"],
     )
-    max_stretch: float = option("X", "With slow: abandon a run after this many times its duration.", default=10.0)
+    max_stretch: float = option(
+        "X", "With slow: abandon a run after this many times its duration.", default=10.0, needs=["--on-limit slow"]
+    )
     settle: float | None = option(
         "S", "Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."
     )

@@ -6,7 +6,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from .command import command, flag, option, options, same
+from .command import alone, command, flag, option, options, same
 from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector, solvers_like
 from .output import notice
 from .pictures import incomplete, present, wait, written
@@ -39,9 +39,9 @@ class ViewTarget(TargetOptions):
     """Options for the target to solve for."""
 
     xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
-    rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].")
-    quat_xyzw: str | None = option("X Y Z W", "With --xyz: quaternion.")
-    quat_wxyz: str | None = option("W X Y Z", "With --xyz: quaternion, the real part first.")
+    rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].", needs=["--xyz"])
+    quat_xyzw: str | None = option("X Y Z W", "With --xyz: quaternion.", needs=["--xyz"])
+    quat_wxyz: str | None = option("W X Y Z", "With --xyz: quaternion, the real part first.", needs=["--xyz"])
     from_q: None = None
     direction: None = None
     tip_axis: None = None
@@ -64,9 +64,12 @@ class ViewSolve:
         default="auto",
         panel="Solver",
         complete=solvers_like,
+        needs=["--xyz", "--matrix", "--target"],
     )
-    every: bool = flag("--all", "Show every solution found as a ghost.")
-    q0: str | None = option("Q1 Q2 ...", "Where the solve starts; default: home.")
+    every: bool = flag("--all", "Show every solution found as a ghost.", needs=["--xyz", "--matrix", "--target"])
+    q0: str | None = option(
+        "Q1 Q2 ...", "Where the solve starts; default: home.", needs=["--xyz", "--matrix", "--target"]
+    )
     follow: bool = flag("--follow", "Show a target to drag, which the robot follows (extra 'panel').")
 
 
@@ -88,9 +91,9 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
     _refuse_contradictions(shown, target, how)
     others = {"--html": shown.html, "--q": shown.q, "--motion": shown.motion, "--xyz and --target": target.given}
     if how.follow:
-        names = ("base", "lock", "package_dir", "xacro_arg", "srdf", "group")
+        names = ("base", "base_xyz", "base_rpy", "rail", "lock", "package_dir", "xacro_arg", "srdf", "group")
         read = {f"--{name.replace('_', '-')}": getattr(robot, name) for name in names}
-        _alone("--follow", {"--page": shown.page} | read | others)
+        alone("--follow", {"--page": shown.page} | read | others)
         from ..show.panel.panel import Follower, Panel
 
         served = Panel(robot.robot, robot.tip, port=shown.port, desk=Follower)
@@ -98,7 +101,9 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
         served.close()
         return
     if shown.page is not None:
-        _alone("--page", others)
+        alone("--page", others | {"--port": shown.port})
+    if shown.html is not None:
+        alone("--html", {"--port": shown.port})
 
     from ..show.scene import view as make
 
@@ -133,10 +138,6 @@ def _refuse_contradictions(shown: ViewOptions, target: ViewTarget, how: ViewSolv
         raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
     if shown.motion is not None and (target.given or how.every or shown.q is not None):
         raise InvalidOption("--motion shows the motion of a file; omit --q, --xyz and --target")
-    if target.oriented and target.xyz is None and target.matrix is None:
-        raise InvalidOption("--rpy and the quaternions belong to --xyz")
-    if not target.given and (how.every or how.q0 is not None):
-        raise InvalidOption("--q0 and --all belong to --xyz or --target")
     target.check()
     _check_port(shown.port)
 
@@ -144,13 +145,6 @@ def _refuse_contradictions(shown: ViewOptions, target: ViewTarget, how: ViewSolv
 def _check_port(port: int) -> None:
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port must be between 0 and 65535, not {port}")
-
-
-def _alone(option: str, others: dict[str, Any]) -> None:
-    """Raise InvalidOption when an option for a draggable robot is combined with options that set what is shown."""
-    given = [name for name, value in others.items() if value]
-    if given:
-        raise InvalidOption(f"{option} goes without {' and '.join(given)}")
 
 
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:

@@ -100,7 +100,8 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     """Return the centred moving average of values (M,) over ROUNDED neighbours on each side, fewer near the ends."""
     total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
-    return (total[k + side + 1] - total[k - side]) / (2 * side + 1)
+    # Both ends stay as they are, to the last digit.
+    return np.where(side > 0, (total[k + side + 1] - total[k - side]) / (2 * side + 1), values)
 
 
 @cached

@@ -135,8 +135,8 @@ def find_contacts(
         sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
 
     Returns:
-        The proven clearance [m] (0: not proven), contacts (one per row, or per segment between rows without contact, at
-            most), and positions on the path that are not proven free.
+        The proven least distance of any two parts [m] (0: not proven free of contact), contacts (one per row, or per segment
+            between rows without contact, at most), and positions on the path that are not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -149,7 +149,6 @@ def find_contacts(
         kept[k], level = margins.around(curve[k], max(level - 1, 0))
         if kept[k] < 0.0:
             contacts.append(Contact(float(at[k]), collision.collisions(curve[k])[0]))
-    left = float(np.nanmin(kept, initial=math.inf))
     approach = margins.approach(np.diff(curve, axis=0))
     aside = np.zeros(len(approach)) if sag is None else 2.0 * margins.approach(sag)
     for k in np.flatnonzero(moving):
@@ -157,84 +156,78 @@ def find_contacts(
             continue
         ends, moves = (kept[k], kept[k + 1]), (float(approach[k]), float(aside[k]))
         found = _between(margins, curve[k], curve[k + 1], ends, moves, most)
-        left = min(left, found.spare)
         if found.touches >= 0.0:
             q = curve[k] + found.touches * (curve[k + 1] - curve[k])
             place = float(at[k] + found.touches * (at[k + 1] - at[k]))
             contacts.append(Contact(place, collision.collisions(q)[0]))
         elif not found.proven:
             unproven.append(float(at[k]))
-    clearance = max(left, 0.0) * float(margins.size.min(initial=math.inf))
-    if left >= 0.0:
-        clearance += float(collision.margins.min(initial=math.inf))
+    clearance = 0.0
     if not contacts and not unproven:
-        clearance = max(clearance, _distance_kept(margins, curve, moving, sag))
+        clearance = max(float(collision.margins.min(initial=math.inf)), _distance_kept(margins, curve, moving, sag))
     return clearance, tuple(contacts), tuple(unproven)
 
 
 def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag: np.ndarray | None) -> float:
     """Return a lower bound on the distance [m] of any pair along a motion that is free of contact.
 
-    The bound is the distance at the rows minus the largest possible approach between them. A pair is measured only at
-    rows where it could be the nearest pair. The other arguments are those of `find_contacts`.
+    The bound of a part of the motion is the distance at its ends minus the largest possible approach between them. The part with
+    the lowest bound is halved until that is within a tenth of the least distance measured, or 2000 times. A pair is measured
+    only where it could be the nearest one. The other arguments are those of `find_contacts`.
     """
-    space = Clearance(margins.collision)
+    space, number, least = Clearance(margins.collision), itertools.count(), math.inf
     used = np.abs(np.diff(curve, axis=0)) @ margins.arms
-    aside = np.zeros_like(used) if sag is None else 2.0 * sag @ margins.arms
-    least, known = math.inf, np.full(len(space.a), -math.inf)
-    for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
-        on = k > 0 and moving[k - 1]
-        before = known if on else np.full(len(known), math.inf)
-        known = before - used[k - 1] if on else np.full(len(known), -math.inf)
-        near = np.flatnonzero(known - (aside[k - 1] if on else 0.0) < least)
+    aside = np.zeros_like(used) if sag is None else sag @ margins.arms
+    parts: list[tuple[float, int, int, Any, Any]] = []
+
+    def measure(q: np.ndarray, known: np.ndarray, off: Any) -> np.ndarray:
+        """Replace the lower bounds known (P,) [m] by distances where the motion, off by `off` (P,) [m], may be nearest."""
+        nonlocal least
+        near = np.flatnonzero(known - off < least)
         if len(near):
-            space.place(curve[k])
+            space.place(q)
             known[near] = [space.distance(i) for i in near.tolist()]
-        least = min(least, float(known.min(initial=math.inf)))
+        least = min(least, float((known - off).min(initial=math.inf)))
+        return known
+
+    def put(k: int, a: Any, b: Any) -> None:
+        bound = 0.5 * (a[1] + b[1] - (b[0] - a[0]) * used[k]) - aside[k]
+        heapq.heappush(parts, (float(bound.min(initial=math.inf)), next(number), k, a, b))
+
+    before = np.empty(0)
+    for k in np.flatnonzero(np.isfinite(curve).all(axis=1)).tolist():
+        on = k > 0 and moving[k - 1]
+        known = before - used[k - 1] if on else np.full(len(space.a), -math.inf)
+        known = measure(curve[k], known, aside[k - 1] if on else 0.0)
         if on:
-            least = min(least, float((0.5 * (before + known - used[k - 1] - aside[k - 1])).min(initial=math.inf)))
-    return max(least, 0.0)
+            put(k - 1, (0.0, before), (1.0, known))
+        before = known
+    for _ in range(2000):
+        if not parts or least <= 0.0 or parts[0][0] >= 0.9 * least:
+            break
+        _, _, k, a, b = heapq.heappop(parts)
+        share = 0.5 * (a[0] + b[0])
+        known = np.maximum(a[1], b[1]) - 0.5 * (b[0] - a[0]) * used[k]
+        middle = share, measure(curve[k] + share * (curve[k + 1] - curve[k]), known, aside[k])
+        put(k, a, middle)
+        put(k, middle, b)
+    return max(min([least, *(part[0] for part in parts[:1])]), 0.0)
 
 
 def clearance_along(collision: Any, way: np.ndarray) -> float:
     """Return the proven least distance [m] of any two parts along the straight joint moves through the corners `way` (K, n).
 
-    The part of the motion with the lowest bound (see `_distance_kept`) is halved until that is within a tenth of the least distance
-    measured, or for 2000 parts. collision: a CollisionModel, or None, for which the distance is infinite.
+    collision: a CollisionModel, or None, for which the distance is infinite.
     """
     if collision is None:
         return math.inf
-    kept, _, _ = find_contacts(collision, way, np.arange(float(len(way))), np.ones(len(way) - 1, dtype=bool))
-    space, arms = Clearance(collision), _arms(collision, np.abs(way).max(axis=0))
-
-    def measured(q: np.ndarray) -> np.ndarray:
-        space.place(q)
-        return space.distances()
-
-    def part(*ends: Any) -> tuple[float, int, Any]:
-        (a, first), (b, last) = ends
-        bound = 0.5 * (first + last - np.abs(b - a) @ arms)
-        return float(bound.min(initial=math.inf)), next(number), ends
-
-    number, rows = itertools.count(), [(q, measured(q)) for q in way]
-    least = min(float(distances.min(initial=math.inf)) for _, distances in rows)
-    parts = [part(*two) for two in itertools.pairwise(rows)]
-    heapq.heapify(parts)
-    while parts and parts[0][0] < 0.9 * least and parts[0][1] < 2000:
-        _, _, (a, b) = heapq.heappop(parts)
-        middle = 0.5 * (a[0] + b[0])
-        between = middle, measured(middle)
-        least = min(least, float(between[1].min(initial=math.inf)))
-        heapq.heappush(parts, part(a, between))
-        heapq.heappush(parts, part(between, b))
-    return max(kept, min([least, *(bound for bound, _, _ in parts[:1])]))
+    return find_contacts(collision, way, np.arange(float(len(way))), np.ones(len(way) - 1, dtype=bool))[0]
 
 
 class _SegmentCheck(NamedTuple):
-    """Result for a segment: whether it is proven free, the margin factor left [rad], and the share (0 to 1) of a contact, or -1."""
+    """Result for a segment: whether it is proven free, and the share (0 to 1) of a contact, or -1."""
 
     proven: bool
-    spare: float
     touches: float
 
 
@@ -246,23 +239,23 @@ def _between(
     ends: margin factors with which a and b are free; moves: margin factors used up by the straight line, which halve with each
     bisection, and by the deviation from it, which does not; most: largest number of tests in all.
     """
-    proven, spare = True, math.inf
+    proven = True
     stack = [(0.0, 1.0, *ends)]
     while stack:
         low, high, first, last = stack.pop()
         needed = moves[0] * (high - low) + moves[1]
         if needed <= first + last:
-            spare = min(spare, 0.5 * (first + last - needed))
-        elif needed <= margins.levels[-1] or margins.spent >= most:
+            continue
+        if needed <= margins.levels[-1] or margins.spent >= most:
             proven = False
         else:
             middle = 0.5 * (low + high)
             enough = max((k for k, level in enumerate(margins.levels) if level >= 0.5 * needed), default=0)
             kept, _ = margins.around(a + middle * (b - a), enough)
             if kept < 0.0:
-                return _SegmentCheck(False, 0.0, middle)
+                return _SegmentCheck(False, middle)
             stack += [(middle, high, kept, last), (low, middle, first, kept)]
-    return _SegmentCheck(proven, spare if proven else 0.0, -1.0)
+    return _SegmentCheck(proven, -1.0)
 
 
 SECONDS = 2.0  # time limit [s] of the search of `connect`

@@ -41,6 +41,7 @@ class RetimingConstants(NamedTuple):
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
+    alike: float = 1.25  # ratio up to which the largest errors of two runs that left the reference count as equal
     followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; it sets the steps
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
@@ -128,6 +129,7 @@ class Run:
     def go(self, slow: bool) -> Taken:
         """Run to the end, and again if the reference may be slowed (slow) and that helps; return the best run.
 
+        If no run keeps to the reference, that is of those which end with it the one with the least of the largest errors.
         Ctrl-C ends the search with the best run so far, which may be incomplete; without any step it is raised again.
         """
         tracker = self.tracker
@@ -141,7 +143,11 @@ class Run:
             if not self.made:
                 raise
             self.interrupted = True
-        best = min(self.made, key=lambda taken: (taken.missed, -taken.clock.s[-1], len(taken.Q)))
+        kept = [one for one in self.made if one.missed == 0]
+        ended = kept or [one for one in self.made if one.clock.s[-1] == self.times[-1]] or self.made
+        worst = [self._excess(one.E).max() for one in ended]
+        near = kept or [one for one, far in zip(ended, worst, strict=True) if not far > RETIME.alike * min(worst)]
+        best = min(near, key=lambda one: (one.missed, -one.clock.s[-1], len(one.Q)))
         tracker.put_back(best.end)
         self.searched = time.perf_counter() - began - best.elapsed
         return best
@@ -150,7 +156,7 @@ class Run:
         """Take runs until one keeps to the reference, or nothing else helps."""
         secondary, moves = self.tracker.secondary, bool(self.own.V[0].any())
         here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
-        from_rest = moves and at_rest(self.tracker) and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
+        from_rest = moves and self.tracker._begins_at_rest() and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or a large initial error
@@ -204,9 +210,8 @@ class Run:
         """Yield joint paths along the reference, best first."""
         # Each step of the run is divided into `parts`, so many that the error of a part is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
-        parts = max(
-            -(-RETIME.fewest // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
-        )
+        fine = int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
+        parts = max(-(-RETIME.fewest // self.count), fine)
         if parts * self.count > MAX_STEPS:
             return
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
@@ -393,8 +398,3 @@ def samples_along(references: list[Reference], clock: Clock, read: Callable = Re
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]
     return samples_from(np.stack([one[0] for one in made], axis=1), V * rate, A * rate**2 + V * gain)
-
-
-def at_rest(tracker: Tracker) -> bool:
-    """Return whether the joints start at rest: their rates are given, and 0."""
-    return bool(tracker._state[STATE.start] == START.given and not tracker._rate.any())

@@ -34,7 +34,7 @@ from .result import (
     settling,
     verdict,
 )
-from .retimed_run import Run, Taken, at_rest
+from .retimed_run import Run, Taken
 from .tracker import JUMP, Tracker
 from .workspace import STATE
 
@@ -142,7 +142,7 @@ def track(
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
-    settle = settling(settle, at_rest(tracker), times[-1])
+    settle = settling(settle, tracker._begins_at_rest(), times[-1])
     tracker.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
     tolerances = tuple(np.where(first_level(tracker), tolerances, np.inf))

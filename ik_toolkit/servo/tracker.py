@@ -176,6 +176,10 @@ class Tracker(CopiesViews, ReadOnly):
         own.state[STATE.start] = start
         self.secondary.side(own.away)
 
+    def _begins_at_rest(self) -> bool:
+        """Return whether no step was taken yet and the joints are at rest, their rates given as 0."""
+        return bool(self._state[STATE.start] == START.given and not self._rate.any())
+
     @property
     def q(self) -> np.ndarray:
         """Present command (n,) [rad or m]."""

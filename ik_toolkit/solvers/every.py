@@ -37,19 +37,21 @@ class CertainLists(NamedTuple):
     table: np.ndarray  # (M, 3 + n) the rows of `polish.list_with` of all poses
     # (N, .) where the rows of each pose begin, their number, and evidence that they are all, see `elimination.list_certain`
     notes: np.ndarray
+    notice: str  # that q0 was clamped, or ""
 
     def rows(self, k: int) -> np.ndarray:
         """Return the rows of `table` that belong to pose k."""
         first, kept = self.notes[k, :2].tolist()
         return self.table[int(first) : int(first + kept)]
 
-    def solutions(self, k: int) -> Solutions | None:
-        """Return the Solutions of pose k, or None if its list is not certain."""
+    def solutions(self, k: int, notice: str = "") -> Solutions | None:
+        """Return the Solutions of pose k, with a notice in their message, or None if its list is not certain."""
         first, kept, *evidence = self.notes[k].tolist()
         if kept < 0.0:
             return None
         rows, words = self.table[int(first) : int(first + kept)], f"{int(evidence[0])} branches"
         words = f"{int(kept)} of {words} are inside the limits" if self.plan.options.limits else words
+        words = f"{words}; {notice}" if notice else words
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
         return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=evidence)
 
@@ -213,10 +215,11 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
         final = o.avoid_collisions is False and not (o.check or plan.robot.constraints)
         plan.memo["certain"] = opt, p, box, forms_of(p.tobytes()), final
     opt, p, box, forms, final = plan.memo["certain"]
+    notice = ""
     if q0 is not None:
-        box = box.copy()
-        box[2] = plan.check_start(q0)[0]
-    return CertainLists(plan, final, *plan.rule.certain(plan.chain, forms, p, opt, T, box, count))
+        start, notice = plan.check_start(q0)
+        box = np.vstack([box[:2], start, box[3:]])
+    return CertainLists(plan, final, *plan.rule.certain(plan.chain, forms, p, opt, T, box, count), notice)
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:

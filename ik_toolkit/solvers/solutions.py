@@ -179,7 +179,8 @@ class SolutionsBatch(ReadOnly):
         if isinstance(k, slice):
             return [self[i] for i in at]
         if self._each[at] is None:
-            self._each[at] = self._lists[at // self._size].solutions(at % self._size)
+            made = self._lists[at // self._size]
+            self._each[at] = made.solutions(at % self._size, made.notice)
         return self._each[at]
 
     def __repr__(self) -> str:

@@ -63,7 +63,7 @@ def test_a_path_and_a_run_stay_inside_them(run, arm, tmp_path):
         (["--limit", "j0:0:1", "--limit", "j0:0:1"], "'j0' twice"),
         (["--limit", "j0:0:9"], "can only be narrowed: 0 to 9 rad"),
         (["--limit", "j0:1:0"], "'j0' are reversed"),
-        (["--limit", "j0:0:1", "--no-limits"], "give one of them"),
+        (["--limit", "j0:0:1", "--no-limits"], "--limit has no effect without --limits"),
     ],
 )
 def test_what_is_no_narrower_range_is_refused(run, arm, words, says):

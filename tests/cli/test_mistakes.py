@@ -266,6 +266,44 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words,
     assert "there is no folder 'no'" in err or "is a folder" in err or "is written as" in err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("path hydrolek_7w --poses x.csv --rate 100", "--rate has no effect without --retime"),
+        ("gains planar_2r --duration 3", "--duration has no effect without --path"),
+        ("gains planar_2r --position-only", "--position-only has no effect without --path"),
+        ("track planar_2r --on-limit leave --max-stretch 3", "--max-stretch has no effect without --on-limit slow"),
+        ("track planar_2r --no-limits --on-limit leave", "--on-limit has no effect without --limits"),
+        ("solve planar_2r --xyz 1 1 0 --refuse-q0", "--clamp-q0/--refuse-q0 has no effect without --q0 or --closest"),
+        ("solve planar_2r --xyz 1 1 0 --frame tip", "--frame has no effect without --mask or --slack or --free-turn"),
+        ("solve planar_2r --xyz 1 1 0 --euler zyx", "--euler has no effect without --targets"),
+        ("reach planar_2r --length-unit mm", "--length-unit has no effect without --poses"),
+        ("reproduce -o folder", "-o/--output has no effect without PAPER"),
+        ("check planar_2r --seed 3", "--seed has no effect without --self-collision"),
+        ("calibrate planar_2r --suggest 3 --noise 0.1", "--noise has no effect without --data"),
+        ("calibrate planar_2r --data x.csv --seed 3", "--seed has no effect without --suggest"),
+        ("calibrate planar_2r --data x.csv --suggest 3 --html x.html", "--suggest goes without --html"),
+        ("view planar_2r -s lm", "-s/--solver has no effect without --xyz or --matrix or --target"),
+        ("view planar_2r --html x.html --port 3", "--html goes without --port"),
+        ("view planar_2r --page x.html --port 3", "--page goes without --port"),
+        ("view planar_2r --follow --rail 0 1", "--follow goes without --rail"),
+        ("info planar_2r --list-tips --tip tool", "--list-tips goes without --tip"),
+        ("doctor --prepare --json", "--prepare goes without --json"),
+    ],
+)
+def test_an_option_without_effect_is_refused_before_the_work(run, words, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+    code, out, err = run(*words.split())
+    assert (code, out, err) == (2, "", f"ik: {says}\n") and not list(tmp_path.iterdir())
+
+
+def test_what_an_option_needs_may_be_a_default(run, tmp_path):
+    track = ("track", "planar_2r", "--json", "-o", tmp_path / "run.csv", "--max-stretch", 2, "--duration", 2)
+    assert run(*track)[0] == 0
+    assert run("check", "planar_2r", "--self-collision", "--samples", 20, "--seed", 3, "--json")[0] == 0
+
+
 def test_several_targets_for_one_tip_are_refused_with_what_takes_them(run):
     for words in (
         ("--xyz", 1, 0.1, 0.2, "--xyz", 1, 0.2, 0.2),

@@ -93,7 +93,8 @@ def test_pictures_are_drawn(run, files, tmp_path):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--velocity", "1"], "belong to --retime"),
+        (["--velocity", "1"], "--velocity has no effect without --retime"),
+        (["--rate", "50"], "--rate has no effect without --retime"),
         (["--retime"], "--retime needs --acceleration"),
         (["--retime", "--acceleration", "1", "-o", "x.npz"], r"\.csv or \.json"),
         (["--max-step-deg", "0"], "--max-step-deg must be positive"),

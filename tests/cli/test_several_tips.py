@@ -160,7 +160,10 @@ def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
     [
         (["--xyz", "1", "0", "1"], "leave out --xyz and give a --target TIP:X,Y,Z for each"),
         (["--xyz", "1", "0", "1", "--tip", LEFT, "--tip", RIGHT], "--xyz is for one tip"),
-        (["--xyz", "1", "0", "1", "--tip", LEFT, "--relative", f"{RIGHT}:{LEFT}"], "--relative is for several tips"),
+        (
+            ["--xyz", "1", "0", "1", "--tip", LEFT, "--relative", f"{RIGHT}:{LEFT}"],
+            "--relative has no effect without --target",
+        ),
         (["--target", f"{LEFT}:1,0,1", "--tip", RIGHT], f"'{LEFT}' is not one of the tips solved for"),
         (["--target", f"{LEFT}:1,0,1", "--tip", LEFT, "--tip", LEFT], "--tip gives 'left_tip' twice"),
         (["--target", f"{LEFT}:1,0,1", "--xyz", "1", "0", "0"], "omit --xyz"),
@@ -179,9 +182,12 @@ def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
             "once for all tips",
         ),
         (["--target", f"{LEFT}:1,0,1", "--free-turn", "left_tp:0,0,1"], "Did you mean 'left_tip'"),
-        (["--target", f"{LEFT}:1,0,1", "--frame", f"{LEFT}:world"], "frame must be one of base, tip, target"),
+        (
+            ["--target", f"{LEFT}:1,0,1", "--free-turn", "z", "--frame", f"{LEFT}:world"],
+            "frame must be one of base, tip, target",
+        ),
         (["--target", f"{LEFT}:1,0,1", "--direction", f"{RIGHT}:0,0,1"], f"needs a --target of {RIGHT}"),
-        (["--target", f"{LEFT}:1,0,1", "--tip-axis", "0,0,1"], "give --direction too"),
+        (["--target", f"{LEFT}:1,0,1", "--tip-axis", "0,0,1"], "--tip-axis has no effect without --direction"),
         (["--target", f"{LEFT}:1,0,1", "--relative", RIGHT], "--relative takes TIP:OTHER"),
         (["--target", f"{LEFT}:1,0,1", "--relative", f"{LEFT}:{LEFT}"], "is circular"),
         (["--target", f"{LEFT}:1,0,1", "--q0", "0", "0"], "--q0 takes 13 values"),

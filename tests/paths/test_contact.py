@@ -142,16 +142,35 @@ def test_no_move_brings_a_pair_nearer_than_the_bound(name):
         assert (change[apart] <= (np.abs(ends[1] - ends[0]) @ margins.arms)[apart] + 1e-6).all()
 
 
-def test_the_clearance_is_kept_and_near_what_is_found():
+@pytest.mark.parametrize("rows", [2, 30])
+def test_the_clearance_is_kept_and_near_what_is_found(rows):
+    """Also along straight moves of many degrees, whose ends say little about what lies between."""
     robot, rng = arm(), np.random.default_rng(3)
     seen = 0
     while seen < 3:
         model, ends = scene(robot, rng), path(robot, rng, 2, 0.3)
-        curve = ends[0] + np.linspace(0.0, 1.0, 30)[:, None] * (ends[1] - ends[0])
-        clearance, contacts, _ = find_contacts(model, curve, np.arange(30.0), np.ones(29, dtype=bool))
+        curve = ends[0] + np.linspace(0.0, 1.0, rows)[:, None] * (ends[1] - ends[0])
+        clearance, contacts, _ = find_contacts(model, curve, np.arange(float(rows)), np.ones(rows - 1, dtype=bool))
         if contacts:
             continue
         seen += 1
         fine = ends[0] + np.linspace(0.0, 1.0, 500)[:, None] * (ends[1] - ends[0])
         found = min(near.distance for q in fine for near in model.distances(q))
-        assert 0.8 * found - 0.01 <= clearance <= found + 1e-9
+        assert 0.89 * found <= clearance <= found + 1e-9
+
+
+def test_a_margin_that_is_kept_is_part_of_the_clearance_and_what_is_not_proven_has_none():
+    """The arm turns about the upright under a plate, at the margin's distance or a little less."""
+    robot = arm()
+    curve = np.array([[0.0, 1.2, 0.0, 0.0], [0.1, 1.2, 0.0, 0.0]])
+
+    def clearance(margin, height):
+        model = ik.CollisionModel(robot, margin=margin).add_box((3.0, 3.0, 0.01), (0.0, 0.0, height))
+        return model, find_contacts(model, curve, np.arange(2.0), np.ones(1, dtype=bool))
+
+    free = clearance(0.0, 2.0)[0].distances(curve[0])
+    gap = next(near.distance for near in free if "box" in near.pair[1])
+    for above, kept in ((1e-3, True), (5e-5, False)):
+        found, contacts, unproven = clearance(0.01, 2.0 - gap + 0.01 + above)[1]
+        assert not contacts and (unproven == ()) == kept
+        assert 0.01 <= found <= 0.01 + above if kept else found == 0.0

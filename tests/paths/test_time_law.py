@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ik_toolkit.motion.time_law import coordinate_at, time_law, times_of
+from ik_toolkit.motion.time_law import coordinate_at, smoothed, time_law, times_of
 
 
 def spline(rng, n, knots=8):
@@ -75,3 +75,11 @@ def test_no_faster_than_asked_and_no_joint_is_blamed_for_it():
     assert (np.diff(rate**2) <= 2.0 * 2.0 * np.diff(s) + 1e-12).all() and joint[58] == 0
     still, _ = time_law(slope, 0.0 * slope, s, np.ones(1), np.full(1, np.inf), top=1.0, gain=2.0, start=0.0)
     assert still[0] == 0.0 and still[5] == pytest.approx(np.sqrt(2 * 2.0 * 0.05))
+
+
+def test_smoothing_keeps_straight_lines_and_both_ends_exactly():
+    values = np.linspace(0.1, 0.7, 1001)
+    assert np.allclose(smoothed(values), values, rtol=0.0, atol=1e-12)
+    rough = values + 0.01 * np.random.default_rng(0).normal(size=1001)
+    made = smoothed(rough)
+    assert (made[[0, -1]] == rough[[0, -1]]).all() and np.abs(np.diff(made, 2)).max() < np.abs(np.diff(rough, 2)).max()

@@ -3,16 +3,20 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+import ik_toolkit as ik
+from ik_toolkit.errors import IKError, InvalidTarget
 from ik_toolkit.motion.reference import exp
 from ik_toolkit.servo import viability
 from ik_toolkit.servo.step import StatusContext, Step, StepStatus, make_outcome
 from ik_toolkit.servo.target_jump import Route, timed
-from ik_toolkit.servo.target_stream import Stream
+from ik_toolkit.servo.target_stream import ARRIVAL, Stream
 from ik_toolkit.servo.workspace import new_samples
 
 UNITS = np.array([1.0, 2.0])
+LEFT, RIGHT = "left_tip", "right_tip"
 
 
 def step(
@@ -69,13 +73,13 @@ def test_a_long_step_in_parts_turns_about_base_axes_and_keeps_the_twists_course(
     begin = exp(np.array([[1.0, 0.2, -0.4]]))[0]
     for f in range(2):
         ends.T[0, f, :3, :3], ends.T[1, f, :3, :3] = begin, exp(turn[None])[0] @ begin
-        ends.T[1, f, :3, 3] = 0.2, 0.0, -0.1
+        ends.T[0, f, :3, 3], ends.T[1, f, :3, 3] = (0.5, 0.0, 0.0), (0.7, 0.0, -0.1)
     ends.V[1], ends.A[1] = 2.0, 4.0
     parts = stream.divided(4)
     for k, part in enumerate(parts):
         for slot, share in enumerate((0.25 * k, 0.25 * (k + 1))):
             np.testing.assert_allclose(part.T[slot, 1, :3, :3], exp(share * turn[None])[0] @ begin, atol=1e-14)
-            np.testing.assert_allclose(part.T[slot, 1, :3, 3], share * np.array([0.2, 0.0, -0.1]), atol=1e-16)
+            np.testing.assert_allclose(part.T[slot, 1, :3, 3], (0.5 + 0.2 * share, 0.0, -0.1 * share), atol=1e-15)
             np.testing.assert_allclose(part.V[slot], 2.0 * share, atol=1e-15)
             np.testing.assert_allclose(part.A[slot], 4.0 * share, atol=1e-15)
     last = stream.last_of(parts[1])
@@ -98,6 +102,50 @@ def test_the_longest_of_the_last_times_between_targets_is_kept_for_a_while():
     assert stream.pace == 0.03
     stream.forget()
     assert stream.pace == 0.0
+    stream, at = Stream(ik.Robot.load("planar_2r")), np.array([1.0, 0.5, 0.0])
+    for dt in (0.02, 0.01, 0.02, *[0.01] * (ARRIVAL.recent - 1)):  # The second 0.02 s begin the count anew.
+        stream.take(1, at, None, None, dt)
+        stream.take(0, at, None, None, 0.015)  # This is no time between targets.
+        assert stream.pace == 0.02
+    stream.take(1, at, None, None, 0.01)
+    assert stream.pace == 0.01
+
+
+def test_targets_are_taken_as_they_come_in_every_form():
+    """Arrays as they are, everything else after a check: the pose of one tip, and the position of the other."""
+    rng = np.random.default_rng(2)
+    poses = [pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(6)]
+    places = rng.normal(size=(6, 3))
+    forms = (
+        lambda T, x: {LEFT: T.homogeneous, RIGHT: x},
+        lambda T, x: {RIGHT: x.tolist(), LEFT: T},
+        lambda T, x: [T.homogeneous, x],
+        lambda T, x: (T, x),
+        lambda T, x: {RIGHT: x, LEFT: T.homogeneous},
+        lambda T, x: [T.homogeneous.astype(np.float32).astype(np.longdouble), x],
+    )
+    stream = Stream(ik.Tree.load("brokk_hydrolek", tips=[LEFT, RIGHT]))
+    for k, (form, T, x) in enumerate(zip(forms, poses, places, strict=True)):
+        assert stream.take(1, form(T, x), None, None, 0.01)
+        stream.step_on()
+        np.testing.assert_allclose(stream.samples.T[1, 0], T.homogeneous, atol=1e-6)
+        np.testing.assert_allclose(stream.samples.T[1, 1, :3, 3], x, atol=1e-12)
+        assert np.array_equal(stream.samples.T[1, 1, :3, :3], np.eye(3))
+        before = poses[k - 1].translation if k else T.translation
+        np.testing.assert_allclose(stream.samples.T[0, 0, :3, 3], before, atol=1e-6)
+    T, x = poses[0].homogeneous, places[0]
+    for place in places[:2]:  # Without a step in between, the last target stays.
+        assert stream.take(1, [T, place], None, None, 0.01)
+        np.testing.assert_allclose(stream.samples.T[0, 0, :3, 3], poses[5].translation, atol=1e-6)
+    for wrong in ({LEFT: x, RIGHT: x}, [x, T], [T, T], {LEFT: T}, [T, x, x], {LEFT: T, RIGHT: x, "middle": x}):
+        with pytest.raises(IKError):
+            stream.take(1, wrong, None, None, 0.01)
+    assert not stream.take(1, [T, np.full(3, np.nan)], None, None, 0.01)
+    alone = Stream(ik.Robot.load("planar_2r"))
+    for x in places:
+        assert alone.take(1, x, None, None, 0.01) and alone.samples.T[1, 0, :3, 3].tolist() == x.tolist()
+    with pytest.raises(InvalidTarget, match="targets of one kind"):
+        alone.take(1, T, None, None, 0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -88,8 +88,8 @@ def test_view_solves_for_several_tips(brokk, goal, tmp_path, capsys, monkeypatch
         (["--xyz", "1", "0", "1", *words], "omit --xyz"),
         (["--q", *map(str, brokk.home), *words], "give one of them"),
         (["--xyz", "1", "0", "1"], "choose one with --tip: left_tip, right_tip"),
-        (["--relative", "right_tip:left_tip"], "--relative is for several tips"),
-        (["--all"], "--q0 and --all belong to --xyz or --target"),
+        (["--relative", "right_tip:left_tip"], "--relative has no effect without --target"),
+        (["--all"], "--all has no effect without --xyz or --matrix or --target"),
     ):
         assert cli.main(["view", "brokk_hydrolek", *wrong, "--html", str(file)]) == 2
         assert said in capsys.readouterr().err

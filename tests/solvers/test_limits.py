@@ -98,3 +98,16 @@ def test_damped_least_squares_as_published_cuts_the_step_off(arm):
     held = ik.solve_batch(arm, np.array(goals), rule._replace(hold=True), q0=q0, tolerance=1e-3)
     cut = ik.solve_batch(arm, np.array(goals), rule, q0=q0, tolerance=1e-3)
     assert held.iterations.mean() < cut.iterations.mean()
+
+
+def test_a_start_that_is_clamped_is_said_of_one_pose_and_of_many(arm):
+    solver = ik.Solver(arm)
+    poses = np.array([arm.fk(arm.random_q(np.random.default_rng(k))).homogeneous for k in range(4)])
+    poses[3, :3, 3] += 10.0  # out of reach
+    inside, outside = arm.home.copy(), arm.home.copy()
+    outside[0] = arm.upper[0] + 0.3
+    for q0, clamped in ((None, False), (inside, False), (outside, True)):
+        many = solver.all(poses, q0)
+        for k, pose in enumerate(poses):
+            assert many[k].message == solver.all(pose, q0).message
+            assert many[k].message.count("was clamped") == clamped
