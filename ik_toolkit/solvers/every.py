@@ -219,7 +219,8 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
     if q0 is not None:
         start, notice = plan.check_start(q0)
         box = np.vstack([box[:2], start, box[3:]])
-    return CertainLists(plan, final, *plan.rule.certain(plan.chain, forms, p, opt, T, box, count), notice)
+    table, notes = plan.rule.certain(plan.chain, forms, p, opt, T, box, count)
+    return CertainLists(plan, final, table, notes, notice)
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
