@@ -299,8 +299,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
     """Return target and options of the request, for the JSON output."""
-    plain = arm.each_tip(target)
-    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
+    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}
     relative = options.get("relative_to")

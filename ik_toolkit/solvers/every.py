@@ -210,8 +210,7 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
     Their Solutions are what `_listed` returns, in less time.
     """
     if "certain" not in plan.memo:
-        opt, p, box = _prepared(plan, POSES)
-        o = plan.options
+        (opt, p, box), o = _prepared(plan, POSES), plan.options
         final = o.avoid_collisions is False and not (o.check or plan.robot.constraints)
         plan.memo["certain"] = opt, p, box, forms_of(p.tobytes()), final
     opt, p, box, forms, final = plan.memo["certain"]
