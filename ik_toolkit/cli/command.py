@@ -262,7 +262,7 @@ class Command(typer.core.TyperCommand):
 
         def met(need: str) -> bool:
             name, _, value = need.partition(" ")
-            return values[name] == value if value else values[name] not in (None, False, [], ())
+            return values[name] == value if value else bool(values[name])
 
         rules: dict[str, Sequence[str]] = self.callback.needs  # type: ignore[union-attr]
         for one in self.params:

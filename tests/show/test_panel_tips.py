@@ -45,7 +45,7 @@ def test_tips_are_chosen_one_or_several():
     session.load("brokk_hydrolek", [RIGHT, LEFT])
     assert session.robot.tips == (RIGHT, LEFT) and session.robot.by_tip
     assert not {"inspection", "newton", "state-space"} & set(session.choices()) and "dls" in session.choices()
-    assert [row[0] for row in session.table()[2]] == list(session.robot.joint_names)
+    assert [row[0] for row in session.axes()] == list(session.robot.joint_names)
 
 
 # --------------------------------------------------------------------------------------------------------------- desk

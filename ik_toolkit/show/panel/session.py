@@ -335,18 +335,8 @@ class Session:
         words = {tip: f"{length(position)}, {_angle(turned)}" for tip, (position, turned) in errors.items()}
         return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
 
-    def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
-        """Return caption, header and rows of the D-H table or, without one, of the joint axes at home in base axes."""
-        if self.entry.dh_file is not None and len(self.robot.tips) == 1 and self.entry.tips == self.robot.tips:
-            from ...robot.formats.dh import read_dh_table
-
-            table = read_dh_table(self.entry.dh_file)
-            source = self.entry.table or self.entry.name
-            caption, rows = f"{table.convention.capitalize()} Denavit-Hartenberg table ({source})", []
-            for r in table.rows:
-                name = f"{r.name}{' (slides)' if r.type == 'prismatic' else ''}"
-                rows.append((name, f"{math.degrees(r.theta):g}", f"{r.d:g}", f"{r.a:g}", f"{math.degrees(r.alpha):g}"))
-            return caption, ("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]"), rows
+    def axes(self) -> list[tuple[str, ...]]:
+        """Return for each joint its name, its kind, and direction and a point [m] of its axis at home, in base axes."""
         seen: dict[str, tuple[str, ...]] = {}
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
             arm._fk(self.robot.home[place])
@@ -356,8 +346,7 @@ class Session:
                 joint = T_base.actInv(arm.data.oMi[j])
                 axis = _triple(joint.rotation @ screw(arm.model, arm.data, j)[2])
                 seen[name] = (name, kind, axis, _triple(joint.translation) if kind != "prismatic" else "any")
-        rows = [seen[name] for name in self.robot.joint_names]
-        return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
+        return [seen[name] for name in self.robot.joint_names]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything on the screen, in metres and radians, ready for JSON."""
