@@ -11,6 +11,7 @@ from ..kernel.counted_error import AXIS, KIND
 from ..kernel.kinematics import TAU
 from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
+from ..text import how_many
 from ..validate import switch
 from .closed_form.elimination import certificate_of, into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
@@ -49,8 +50,8 @@ class CertainLists(NamedTuple):
         if self.counts[k][1] < 0:
             return None
         rows, certificate = self.rows(k), certificate_of(self.notes[k].tolist())
-        words = f"{certificate.solutions} branches"
-        words = f"{len(rows)} of {words} are inside the limits" if self.plan.options.limits else words
+        inside = f"{len(rows)} of {certificate.solutions} branches are inside the limits"
+        words = inside if self.plan.options.limits else how_many(certificate.solutions, "branch")
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
         return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=certificate)
 
@@ -236,7 +237,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     )
     table, signs = table[:kept], signs[:kept]
     inside = f"{legal} of {found} branches{made.words} are inside the limits"
-    message = inside if plan.options.limits else f"{found} branches{made.words}"
+    message = inside if plan.options.limits else f"{how_many(found, 'branch')}{made.words}"
     if kept < legal:
         message += f", {kept} of which meet the tolerances"
     orientation = None if kinds == (KIND.position,) else table[:, 1]
@@ -372,8 +373,8 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
     found = search_solutions(plan, T, POSES, start, 0, count, np.clip(np.vstack(rows), *box))
     if not len(found):
         return None, where
-    plural = "s" * (len(curves) > 1)
-    said = f"{len(found)} solutions on {len(curves)} curve{plural} of infinitely many, found in {where}; there may be others"
+    said = f"{how_many(len(found), 'solution')} on {how_many(len(curves), 'curve')} of infinitely many"
+    said += f", found in {where}; there may be others"
     families = tuple(family_of(robot, curve) for curve in curves)
     found._put(families=families, solver="elimination", found_by=("elimination",) * len(found), message=said)
     return found, where
