@@ -39,6 +39,11 @@ def first_few(words: Sequence[str], most: int = 5) -> str:
     return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
+def how_many(count: int, noun: str) -> str:
+    """Return a number of things: '1 branch', '2 branches', '0 joints'."""
+    return f"{count} {noun}" + ("es" if noun.endswith("ch") else "s") * (count != 1)
+
+
 def figure(value: float, digits: int = 3) -> str:
     """Write a number, rounded to significant digits, as a person would: 3880, 0.0012, 2.5e-6."""
     text = f"{value:.{digits}g}"

@@ -187,7 +187,7 @@ def _same_file(one: str | Path, other: str | Path) -> bool:
 def above_zero(value: float, name: str) -> float:
     """Return the value of an option unchanged. Raises InvalidOption unless the value is positive and finite."""
     if not 0.0 < value < math.inf:
-        raise InvalidOption(f"{name} must be positive, not {value:g}")
+        raise InvalidOption(f"{name} must be positive and finite, not {value:g}")
     return value
 
 

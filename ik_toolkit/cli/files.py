@@ -11,7 +11,7 @@ import typer
 
 from ..errors import CONTROLS, IKError, ModelError
 from ..files import write_whole
-from ..text import in_shell
+from ..text import how_many, in_shell
 from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments, robots_like
 from .output import notice, progress, show, table, write_json
@@ -81,7 +81,7 @@ def dh(asked: DhOptions) -> None:
     text = to_urdf(made)
     if asked.output is not None:
         write_whole(asked.output, text)
-        notice(f"wrote {asked.output}: {made.name}, {len(made.rows)} joints, {made.convention} D-H")
+        notice(f"wrote {asked.output}: {made.name}, {how_many(len(made.rows), 'joint')}, {made.convention} D-H")
     joints = [row.name for row in made.rows]
     _print(asked, text, {"name": made.name, "convention": made.convention, "joints": joints, "output": asked.output})
 
@@ -138,7 +138,7 @@ def check(asked: CheckOptions) -> None:
         if any(finding.line for finding in findings) and expanded:
             show(in_shell("the lines are those of the URDF that ik convert writes"))
         warnings = len(findings) - len(errors)
-        counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
+        counts = f"{how_many(len(errors), 'error')}, {how_many(warnings, 'warning')}"
         show(f"{entry.name}: {counts if findings else 'no problems found'}")
         for tip, words in forms.items():
             show(f"closed form up to {tip}: {words}")
@@ -149,7 +149,7 @@ def check(asked: CheckOptions) -> None:
             show(f"something touches in {before} of them, of the pairs to be tested in {after}")
     if found is not None and asked.output is not None:
         write_whole(asked.output, found.to_srdf())
-        notice(f"wrote {asked.output}: {len(found.reasons)} pairs of links that need no test")
+        notice(f"wrote {asked.output}: {how_many(len(found.reasons), 'pair')} of links that need no test")
     if errors:
         raise typer.Exit(1)
 
@@ -226,7 +226,7 @@ def convert(asked: ConvertOptions) -> None:
     made = make(asked.robot, None if asked.output is None else asked.output.parent, **asked.read())
     if asked.output is not None:
         write_whole(asked.output, made.text)
-        notice(f"wrote {asked.output}: {made.name}, {len(made.meshes)} mesh files")
+        notice(f"wrote {asked.output}: {made.name}, {how_many(len(made.meshes), 'mesh file')}")
     for note in made.notes():
         notice(note)
     _print(asked, made.text, {"name": made.name, "output": asked.output, "meshes": made.meshes, "lost": made.lost})

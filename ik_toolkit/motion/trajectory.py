@@ -13,7 +13,7 @@ from ..files import as_path, write_table, write_whole
 from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
 from ..style import BAD, GOOD
-from ..text import TextTable
+from ..text import TextTable, how_many
 from .reference import Reference, Samples, read_times
 from .time_law import coordinate_at
 
@@ -167,7 +167,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         """Return a line with the number of samples, the duration and the number of joints."""
-        return f"Trajectory({len(self.t)} samples, {self.duration:.4g} s, {self.q.shape[1]} joints)"
+        return f"Trajectory({len(self.t)} samples, {self.duration:.4g} s, {how_many(self.q.shape[1], 'joint')})"
 
 
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:

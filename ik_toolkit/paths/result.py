@@ -13,7 +13,7 @@ from ..files import as_output, whole_file, write_table, write_whole
 from ..motion.trajectory import Trajectory
 from ..solvers.options import Options
 from ..style import BAD, GOOD
-from ..text import TextTable, angle, duration, length, plain
+from ..text import TextTable, angle, duration, how_many, length, plain
 from .certificate import Continuity
 
 
@@ -259,7 +259,11 @@ class PathResult:
     def __repr__(self) -> str:
         """Return one line: the status and the most important numbers."""
         turn, slide = self.length
-        parts = [f"{len(self.q)} poses", f"{len(self.reconfigurations)} reconfigurations", f"length {turn:.4g} rad"]
+        parts = [
+            how_many(len(self.q), "pose"),
+            how_many(len(self.reconfigurations), "reconfiguration"),
+            f"length {turn:.4g} rad",
+        ]
         return f"PathResult({self.status.name}, {', '.join(parts)}{f' and {slide:.4g} m' if slide else ''})"
 
 
@@ -297,7 +301,8 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
             advice = "move the poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
             if all(one.reason.startswith("beyond reach") for one in path.unreachable):
                 advice = "move the poses inside the reach"
-            return f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; {advice}"
+            met = f"{len(reached)} of {how_many(N, 'pose')} reached"
+            return f"{met}; not pose {first.index}{others}: {first.reason}{cut}; {far}; {advice}"
         return (
             f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; {far}; allow them "
             "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"
@@ -307,16 +312,13 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     if path.status == PathStatus.COLLISION:
         touching = path.continuity.contacts[:1]
         where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
-        return f"{_poses(N)} followed, but only in collision{where}; move the poses or the obstacle"
+        return f"{how_many(N, 'pose')} followed, but only in collision{where}; move the poses or the obstacle"
     places = len(path.continuity.unproven)
-    close = f"; at {places} place{'s' * (places != 1)} shapes are too close to rule out contact" if places else ""
+    close = f"; at {how_many(places, 'place')} shapes are too close to rule out contact" if places else ""
     if path.status == PathStatus.FOLLOWED:
-        return f"{_poses(N)} followed in one motion of {length}{close}"
+        return f"{how_many(N, 'pose')} followed in one motion of {length}{close}"
     breaks = ", ".join(str(one.index) for one in path.reconfigurations[:5])
     few = "provably the fewest" if path.lower_bound == needed else "the fewest found"
-    several = f"{needed} reconfiguration{'s' * (needed != 1)}"
-    return f"{_poses(N)} followed with {several} ({few}), after pose {breaks}{close}"
-
-
-def _poses(count: int) -> str:
-    return f"{count} pose{'s' * (count != 1)}"
+    return (
+        f"{how_many(N, 'pose')} followed with {how_many(needed, 'reconfiguration')} ({few}), after pose {breaks}{close}"
+    )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..text import angle as in_words
-from ..text import figure, length
+from ..text import figure, how_many, length
 
 SAMPLES = 24  # number of random configurations; a motion that is possible in none of them counts as impossible
 # Singular values below this share of the largest count as 0, because axes in files have five or six digits.
@@ -102,7 +102,7 @@ class Mobility:
 
     def __str__(self) -> str:
         """Describe the mobility in one sentence."""
-        text = f"{self.joints} joint{'s' * (self.joints != 1)}, {self.directions} of 6 directions at once"
+        text = f"{how_many(self.joints, 'joint')}, {self.directions} of 6 directions at once"
         if self.axis is not None and self.tip_axis is not None:
             text += f"; the tip's {named(self.tip_axis)} axis always points along {named(self.axis)} of the base"
         elif self.rotation is not None:

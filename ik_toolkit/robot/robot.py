@@ -16,6 +16,7 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
+from ..text import how_many
 from .base import on_own_base, put_joint
 from .configuration import values_by_joint
 from .constraints import Constraint
@@ -393,7 +394,7 @@ class Robot(Joints):
 
     def __repr__(self) -> str:
         """Describe the robot in one line: name, path and joints."""
-        return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
+        return f"Robot('{self.name}', {self.base} -> {self.tip}, {how_many(self.n, 'joint')}: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:
         return f"{self.base} → {self.tip}, reach at most {self.reach:.3g} m"

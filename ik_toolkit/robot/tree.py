@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.chain import Chain, TreeChain, pack_tree
-from ..text import first_few, in_shell
+from ..text import first_few, how_many, in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf
 from .joints import Joints
@@ -276,7 +276,8 @@ class Tree(Joints):
 
     def __repr__(self) -> str:
         """Describe the tree in one line: name, tips and joints."""
-        return f"Tree('{self.name}', {self.base} -> {' + '.join(self.tips)}, {self.n} joints: {', '.join(self.joint_names)})"
+        joints = f"{how_many(self.n, 'joint')}: {', '.join(self.joint_names)}"
+        return f"Tree('{self.name}', {self.base} -> {' + '.join(self.tips)}, {joints})"
 
     def _route(self) -> str:
         return f"{self.base} → {', '.join(self.tips)}"

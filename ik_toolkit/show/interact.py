@@ -9,7 +9,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.result import Result
 from ..solvers.solve import Solver, require_robot
-from ..text import duration, length
+from ..text import duration, how_many, length
 from .animation import GHOSTS, SLATE, each_target, thin_rows
 from .plots import iterates
 from .scene import Scene, view
@@ -100,5 +100,5 @@ def _curve(label: str, result: Result, color: str) -> tuple[str, str, list[tuple
     rows = thin_rows(len(errors), 200)
     left = "" if result.success else f", {length(result.position_error)} left"
     found = result.status.name.lower().replace("_", " ") + left
-    words = f"{found}, {result.iterations} iterations, {duration(result.elapsed, 2)}"
+    words = f"{found}, {how_many(result.iterations, 'iteration')}, {duration(result.elapsed, 2)}"
     return label, color, [(k, round(x, 10)) for k, x in zip(rows.tolist(), errors[rows].tolist(), strict=True)], words

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..kernel.checks import CODE
 from ..kernel.records import AT, SIZE
+from ..text import how_many
 from .closed_form.geometry import Family
 from .options import PLAIN
 from .outcome import SPOKEN
@@ -79,9 +80,11 @@ def search_solutions(
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
         found = spread_rows(found, count)
-    plural = "s" * (len(found) != 1)
-    words = f"solution{plural} of infinitely many" if redundant or found.families else f"distinct solution{plural}"
-    found._put(message=f"{len(found)} {words} ({len(out)} of {starts} starts converged)")
+    many = redundant or found.families
+    words = (
+        how_many(len(found), "solution") + " of infinitely many" if many else how_many(len(found), "distinct solution")
+    )
+    found._put(message=f"{words} ({len(out)} of {starts} starts converged)")
     if found.families:
         found._put(message=found.message + f"; {found.families[0].message}")
     return found

@@ -11,6 +11,7 @@ from ..kernel.counted_error import AXIS, KIND
 from ..kernel.kinematics import TAU
 from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
+from ..text import how_many
 from ..validate import FLOAT, switch
 from .closed_form.elimination import forms_of, into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
@@ -49,8 +50,9 @@ class CertainLists(NamedTuple):
         first, kept, *evidence = self.notes[k].tolist()
         if kept < 0.0:
             return None
-        rows, words = self.table[int(first) : int(first + kept)], f"{int(evidence[0])} branches"
-        words = f"{int(kept)} of {words} are inside the limits" if self.plan.options.limits else words
+        rows, found = self.table[int(first) : int(first + kept)], int(evidence[0])
+        inside = f"{int(kept)} of {found} branches are inside the limits"
+        words = inside if self.plan.options.limits else how_many(found, "branch")
         words = f"{words}; {notice}" if notice else words
         made = rows[:, 3:], rows[:, 2], (rows[:, 0], rows[:, 1])
         return Solutions(self.plan.robot, *made, True, self.plan.row.name, words, certificate=evidence)
@@ -63,9 +65,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         each_one = [getattr(one, "homogeneous", one) for one in target]
         target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
     shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)  # a target of a Tree has a leading axis
-    several = isinstance(shape, tuple) and (
-        len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,))
-    )
+    several = isinstance(shape, tuple) and len(shape) == 3 + places - (shape[-1:] == (3,))
     plan = solver.lister if is_plain(solver, target, several) else None
     if not several:
         made = _certain(plan, target[None], q0, count) if plan and target.flags.carray else None
@@ -237,7 +237,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     )
     table, signs = table[:kept], signs[:kept]
     inside = f"{legal} of {found} branches{made.words} are inside the limits"
-    message = inside if plan.options.limits else f"{found} branches{made.words}"
+    message = inside if plan.options.limits else f"{how_many(found, 'branch')}{made.words}"
     if kept < legal:
         message += f", {kept} of which meet the tolerances"
     orientation = None if kinds == (KIND.position,) else table[:, 1]
@@ -373,8 +373,8 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
     found = search_solutions(plan, T, POSES, start, 0, count, np.clip(np.vstack(rows), *box))
     if not len(found):
         return None, where
-    plural = "s" * (len(curves) > 1)
-    said = f"{len(found)} solutions on {len(curves)} curve{plural} of infinitely many, found in {where}; there may be others"
+    said = f"{how_many(len(found), 'solution')} on {how_many(len(curves), 'curve')} of infinitely many"
+    said += f", found in {where}; there may be others"
     families = tuple(family_of(robot, curve) for curve in curves)
     found._put(families=families, solver="elimination", found_by=("elimination",) * len(found), message=said)
     return found, where

@@ -10,7 +10,7 @@ from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
 from ..kernel.records import AT, SIZE
 from ..robot.configuration import followers_at_limits
-from ..text import angle, figure, length
+from ..text import angle, figure, how_many, length
 from .decide import blocked
 from .options import GROUPS
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
@@ -51,13 +51,13 @@ ASK_LESS = "free what cannot be met (free_turn, mask), or put the position befor
 def sentence(result: Any) -> str:
     """Return one sentence on how a solve ended and what to try. If several tips failed, it gives the errors left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
-    left, starts = _left(result), result.restarts + 1
+    left, tried = _left(result), how_many(result.restarts + 1, "start")
     if status == Status.CONSTRAINT_OPEN:
         kept = constraints_of(result.robot, result.q, plan.options)
         return f"the tip is {left} from its target, but {kept.text}; {ADVICE[status]}"
     if result.collision is not None:
         touching = " and ".join(result.collision)
-        text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
+        text = f"every solution found from {tried} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
     if row[AT.excess] <= DECIDED and status != Status.CHECK_FAILED:
         return _decided_says(result, left)
@@ -66,11 +66,11 @@ def sentence(result: Any) -> str:
         return _closed_form_says(result, left) + ("; were millimetres meant?" if far else "")
     if status == Status.CONVERGED and (missed := _missed(result)):
         return (
-            f"{missed}, the nearest found ({_joints(result.robot.n)}; {_starts(starts)}, {int(row[AT.agreed])} agree)"
+            f"{missed}, the nearest found ({how_many(result.robot.n, 'joint')}; {tried}, {int(row[AT.agreed])} agree)"
         )
     if status == Status.CONVERGED:
-        text = f"converged in {result.iterations} iterations to {left}"
-        return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text
+        text = f"converged in {how_many(result.iterations, 'iteration')} to {left}"
+        return f"{text} after {how_many(result.restarts, 'restart')}" if result.restarts else text
     budget, timeout = plan.options.budget, plan.options.timeout
     if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
         told = (
@@ -78,11 +78,11 @@ def sentence(result: Any) -> str:
             if timeout is None
             else (f"timeout of {timeout:g} s", "timeout")
         )
-        text = f"the {told[0]} was reached after {_starts(starts)}; closest {left}; raise {told[1]}"
+        text = f"the {told[0]} was reached after {tried}; closest {left}; raise {told[1]}"
     elif status == Status.ITERATION_LIMIT and plan.options.follow:
-        text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
+        text = f"{left} away after {how_many(result.iterations, 'iteration')}; move the target in smaller steps, or use the tracker"
     else:
-        text = f"{_failure(result, left, starts)}; {_cause(result) or _advice(result)}"
+        text = f"{_failure(result, left, tried)}; {_cause(result) or _advice(result)}"
     return text + _at_each_tip(result)
 
 
@@ -101,17 +101,13 @@ def _missed(result: Any) -> str:
     return off and f"{met} reached; {off}"
 
 
-def _joints(n: int) -> str:
-    return f"{n} joint{'s' * (n != 1)}"
-
-
 def _decided_says(result: Any, left: str) -> str:
     """Say what the elimination found: a solution, that there is none, or which limit all solutions break."""
     if result._of.row[AT.excess] == NEAREST:
         within = " within the limits" * result._of.plan.options.limits
         return f"the nearest of all solutions{within} (certified by elimination); residual {left}"
     if result.status == Status.CONVERGED:
-        return f"found by elimination after {_starts(result.restarts + 1)} of the search; residual {left}"
+        return f"found by elimination after {how_many(result.restarts + 1, 'start')} of the search; residual {left}"
     least = blocked(result)
     if least is None:
         said = "no joint values reach this pose, limits or not"
@@ -214,10 +210,6 @@ def _at_limits(result: Any) -> str:
     )
 
 
-def _starts(count: int) -> str:
-    return f"{count} start{'s' * (count > 1)}"
-
-
 def _at_each_tip(result: Any) -> str:
     """Say the errors left at each of several tips that have a target, or return ''."""
     if len(result.robot.tips) == 1:
@@ -247,21 +239,21 @@ def _closed_form_says(result: Any, left: str) -> str:
     )
 
 
-def _failure(result: Any, left: str, starts: int) -> str:
+def _failure(result: Any, left: str, tried: str) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
         beyond = [f"{tip} by {length(x)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
-            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {_starts(starts)}"
+            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {tried}"
         return f"beyond reach: {', '.join(beyond)} (a bound from the link lengths)"
     if status == Status.TOO_FAR:
         joint, far = int(row[AT.held]), result._of.plan.options.follow
         most = length(far * robot.reach) if robot.joint_kinds[joint] == "prismatic" else angle(far, deg=False)
         return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
-    if status == Status.STALLED and starts > 1:
-        return f"closest {left} after {starts} starts"
+    if status == Status.STALLED and result.restarts:
+        return f"closest {left} after {tried}"
     stopped = _at_limits(result) if status in (Status.STALLED, Status.LIMIT_BLOCKED) else ""
     at = f" with {stopped} at a limit" if stopped else ""
     if status == Status.STALLED and result._of.plan.descends:
@@ -269,11 +261,11 @@ def _failure(result: Any, left: str, starts: int) -> str:
     if status == Status.STALLED:  # A published method may end elsewhere than at the best configuration it found.
         return f"no further progress{at}: the search came to rest, and the nearest it came to the target is {left}"
     if status == Status.LIMIT_BLOCKED:
-        return f"joint limits ({stopped}) block the target, which is reached without them; closest {left} after {_starts(starts)}"
-    if status == Status.ITERATION_LIMIT and starts > 1:
-        return f"closest {left} after {starts} starts, each cut off by the limit of iterations"
+        return f"joint limits ({stopped}) block the target, which is reached without them; closest {left} after {tried}"
+    if status == Status.ITERATION_LIMIT and result.restarts:
+        return f"closest {left} after {tried}, each cut off by the limit of iterations"
     if status == Status.ITERATION_LIMIT:
-        return f"{left} away after {result.iterations} iteration{'s' * (result.iterations != 1)}"
+        return f"{left} away after {how_many(result.iterations, 'iteration')}"
     if status == Status.SINGULAR:
         return f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
     if status == Status.NOT_FINITE:
@@ -328,7 +320,7 @@ def too_few_joints(result: Any) -> str:
         able = arm.mobility.directions
         if fixed > able:
             name = "the arm" if len(rows) == 1 else arm.tip
-            joints = _joints(arm.n)
+            joints = how_many(arm.n, "joint")
             moves = "" if able == arm.n else f", which move the tip in {able} directions"
             texts.append(f"{name} has {joints}{moves}, and the target fixes {fixed} directions")
     return "; ".join(texts)

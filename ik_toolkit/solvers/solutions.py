@@ -8,7 +8,7 @@ import numpy as np
 
 from ..copying import ReadOnly
 from ..robot.robot import Robot
-from ..text import TextTable, length
+from ..text import TextTable, how_many, length
 from .closed_form.elimination import certificate_of
 from .closed_form.geometry import Family
 
@@ -126,7 +126,7 @@ class Solutions(ReadOnly):
             )
         ]
         head = ("", *self.robot.joint_names, "distance", "position error", *(["found by"] if several else []))
-        which = f"{len(self)} solution{'s' * (len(self) != 1)}" + ("; there are no others" if self.complete else "")
+        which = f"{how_many(len(self), 'solution')}" + ("; there are no others" if self.complete else "")
         how = "ik.view(robot, list(solutions)) shows them, ik.plot(solutions) draws them as lines."
         return TextTable(which, self.message, head, rows, how).html()
 
@@ -185,4 +185,4 @@ class SolutionsBatch(ReadOnly):
 
     def __repr__(self) -> str:
         """Describe the solutions in one line."""
-        return f"SolutionsBatch({len(self)} targets, {len(self.target)} solutions)"
+        return f"SolutionsBatch({how_many(len(self), 'target')}, {how_many(len(self.target), 'solution')})"

@@ -96,7 +96,7 @@ def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
     assert positions.save(tmp_path / "b.csv").read_text().splitlines()[0].endswith(",position_error")
     with np.load(positions.save(tmp_path / "b.npz")) as file:
         assert "orientation_error" not in file.files
-    assert repr(positions) == "PathResult(RECONFIGURES, 5 poses, 1 reconfigurations, length 1.6 rad)"
+    assert repr(positions) == "PathResult(RECONFIGURES, 5 poses, 1 reconfiguration, length 1.6 rad)"
 
 
 def test_revolute_and_prismatic_steps_are_told_apart():

@@ -37,6 +37,13 @@ def target(arm):
     return arm.fk(arm.random_q(np.random.default_rng(1)))
 
 
+def test_one_thing_is_not_said_as_several():
+    one = ik.Robot.load(robots.urdf(dict(kind="prismatic", limits=(0.0, 1.0)), name="one"))
+    result = ik.solve(one, one.fk([0.3]).translation, q0=[0.2], tolerance=0.01)
+    assert result.iterations == 1 and "in 1 iteration to" in result.message
+    assert "1 joint:" in repr(one) and "1 target," in repr(ik.solve_batch(one, [one.fk([0.3])]))
+
+
 def test_converged():
     arm, again = robots.load("inspection_7dof"), set()
     for q in arm.random_q(np.random.default_rng(4), 25):

@@ -222,7 +222,7 @@ def reversed_advice(low: float, high: float, turns: bool) -> str:
     """Return advice on reversed limits, which may mean either of two ranges."""
     swapped = f"swap them if {high:g} to {low:g} is meant"
     if not turns:
-        return swapped + f", or change their signs and the axis if {-low:g} to {-high:g} is meant" * (low != -high)
+        return swapped + f", or change their signs and the axis if {-low:g} to {-high:g} is meant" * bool(low != -high)
     return f"{swapped}, or write {low:g} to {high + 2.0 * math.pi:.4g} if the range across half a turn is meant"
 
 

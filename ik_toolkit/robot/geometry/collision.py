@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import InvalidOption, ModelError, floats, near_match
+from ...text import how_many
 from ..robot import Robot
 from ..tree import Tree
 from .convex import is_flat, owner_above, read_shapes, request
@@ -329,7 +330,7 @@ class CollisionModel(Surroundings):
         around = f", around it: {', '.join(self.obstacles)}" if self.obstacles else ""
         held = f", attached: {', '.join(self.attached)}" if self.attached else ""
         kept = f", margin {self.margin:g} m" if self.margin else ""
-        counts = f"{len(self.pairs)} pairs tested, {len(self.excluded)} excluded"
+        counts = f"{how_many(len(self.pairs), 'pair')} tested, {len(self.excluded)} excluded"
         return f"CollisionModel('{self.robot.name}', {counts}{kept}{around}{held})"
 
 

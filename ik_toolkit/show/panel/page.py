@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import IKError
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
+from ...text import how_many
 from ..body import Body
 from .connection import PLAIN, Past, Visit, empty
 from .learn_tab import Learn
@@ -42,7 +43,10 @@ class PanelPage(Visit):
             self.gui.main_panel.dock_right()
             self._build_controls()
         self.show()
-        words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
+        words = (
+            body.notice
+            or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {how_many(s.robot.n, 'joint')}"
+        )
         self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
         waiting = self.status.content
         self.worker.post("prepare", self._guard(self.session.prepare))

@@ -23,7 +23,7 @@ from ...robot.tree import Tree
 from ...solvers.registry import find_row, list_rows, make_rule
 from ...solvers.result import Result
 from ...solvers.solve import solve, solve_all
-from ...text import angle, duration, length, parameter, plain, vector
+from ...text import angle, duration, how_many, length, parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 
 # the forms in which the orientation of a target can be typed
@@ -262,7 +262,7 @@ class Session:
         if not len(found):
             return f"no solution: {found.message}", ""
         more = f"; the nearest {SHOWN} of {len(found)} are listed" if len(found) > SHOWN else ""
-        few = "infinitely many solutions" if found.families else f"{len(found)} solution{'s' * (len(found) > 1)}"
+        few = "infinitely many solutions" if found.families else how_many(len(found), "solution")
         return f"{few}{'; these are all' if found.complete else more}", found.message
 
     # --------------------------------------------------------------------------------------------------- surroundings

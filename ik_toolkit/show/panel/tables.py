@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import InvalidOption
 from ...paths.timing import through
 from ...style import MUTED
+from ...text import how_many
 from .session import KINDS, Session
 
 
@@ -58,7 +59,7 @@ class Recorder:
         """Add the present configuration to the motion."""
         self.session.recorded.append(self.session.q.copy())
         count = len(self.session.recorded)
-        self.say(f"{count} posture{'s' * (count > 1)} recorded")
+        self.say(f"{how_many(count, 'posture')} recorded")
 
     def forget(self) -> None:
         """Begin a new motion."""

@@ -8,7 +8,7 @@ import numpy as np
 from ...copying import ReadOnly
 from ...errors import IKError, InvalidOption, Portable
 from ...kernel.records import AT, SIZE
-from ...text import TextTable, length
+from ...text import TextTable, how_many, length
 from ..collision_free import collision_model
 from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
@@ -21,7 +21,7 @@ class BatchInterrupted(Portable, KeyboardInterrupt):
 
     def __init__(self, result: "BatchResult") -> None:
         """Store the results of the finished targets."""
-        super().__init__(f"interrupted after {len(result)} targets")
+        super().__init__(f"interrupted after {how_many(len(result), 'target')}")
         self.result = result
 
 
@@ -191,4 +191,5 @@ class BatchResult(ReadOnly):
 
     def __repr__(self) -> str:
         """Describe the batch in one line."""
-        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved, solver='{self.solver}', {self.counts()})"
+        many = f"{how_many(len(self), 'target')}, {int(self.success.sum())} solved"
+        return f"BatchResult({many}, solver='{self.solver}', {self.counts()})"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.formats.dh import DHTable
-from ...text import length
+from ...text import how_many, length
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,
@@ -149,7 +149,7 @@ class Explanation:
         rows = []
         for k, branch in enumerate(branches):
             count = len(branch.outside)
-            said = f"outside {count} limit{'s' * (count > 1)}" if count else "inside the limits"
+            said = f"outside {how_many(count, 'limit')}" if count else "inside the limits"
             rows.append((str(k + 1), branch.label, f"{said}; the answer" if k == self.chosen else said))
         yield Table(("", "branch", ""), rows)
         rows = []
@@ -192,7 +192,7 @@ class Explanation:
 
     def __repr__(self) -> str:
         """Describe the explanation in one line."""
-        branches = "" if self.worked is None else f", '{self.form}', {len(self.worked.branches)} branches"
+        branches = "" if self.worked is None else f", '{self.form}', {how_many(len(self.worked.branches), 'branch')}"
         return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:

@@ -10,6 +10,7 @@ from ...compile.jit import compiled
 from ...kernel.limits import integrate
 from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP, WAITING
+from ...text import how_many
 from ...validate import switch
 from ..protocol import Asked, rule
 
@@ -207,7 +208,9 @@ class Newton(NamedTuple):
         n = asked.robot.n
         if asked.rows == n:
             return ""
-        return f"needs as many task rows as joints, and here the task has {asked.rows} and the path {n} joints"
+        return (
+            f"needs as many task rows as joints, and here the task has {asked.rows} and the path {how_many(n, 'joint')}"
+        )
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
         """Return the compiled step as a NamedTuple."""
