@@ -22,9 +22,8 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method, pack_law
 from .stability import GainCheck, check_gains
 
-LOWER = (
-    0.001  # weight of the errors of one priority level relative to those of the next higher level; 0.01 costs 0.3 mm
-)
+# weight of the errors of one priority level relative to those of the next higher level; with 0.01 the tip stays up to 0.3 mm off
+LOWER = 0.001
 RELATIVE = 100.0  # weight of errors relative to another tip, because two hands must above all keep their grip
 LEVER = 0.2  # [m] default of length_scale: an angle of 1 rad counts as much as this length, about that of a hand
 ALIKE = 0.6  # difflib similarity above which an unknown option is taken for a misspelt option of another method
