@@ -64,7 +64,8 @@ def test_of_all_solutions():
     assert told["found_by"] == list(found.found_by) and told["families"] == [one._asdict() for one in found.families]
     one = found.keep(np.array([False, True]))
     assert len(one) == 1 and (one[0] == found[1]).all() and one.distance[0] == found.distance[1] > 0.0
-    assert one.complete is found.complete and one.message == found.message and one.solver == found.solver
+    assert not one.complete and one.message == found.message and one.solver == found.solver
+    assert found.keep(np.array([True, True])).complete
     assert (one.branches[0] == found.branches[1]).all() and one.found_by == found.found_by[1:]
     assert one.position_error[0] == found.position_error[1] and one.families == found.families
     none = ik.solve_all(robot, (9.0, 0.0, 0.0))
