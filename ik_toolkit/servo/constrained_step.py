@@ -285,14 +285,22 @@ def damping(p, asked):
     The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is the arm's
     reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag.
     """
-    miss, heavy, fastest = 0.0, 0.0, 0.0
-    for c in range(p.task):
-        miss += p.new.first[p.planes + p.size + c] ** 2
-    for k in range(asked.weight.shape[0]):
-        heavy = max(heavy, asked.weight[k])
+    rows, miss, heavy, fastest, k = asked.weight.shape[0], 0.0, 0.0, 0.0, p.planes + p.size
+    for c in range(rows):
+        # Each tip counts with its own weights: the heavy errors of a grip, which is kept, must not slow the arms.
+        if c % 6 == 0:
+            heavy = 0.0
+            for r in range(c, min(c + 6, rows)):
+                heavy = max(heavy, asked.weight[r])
+        size = 0.0
+        for i in range(asked.size.shape[0]):
+            size += (asked.weight[c] * asked.J[i, c] * asked.size[i]) ** 2
+        if size > 0.0:  # `lay_out` leaves out the others.
+            miss += (heavy * p.new.first[k]) ** 2
+            k += 1
     for i in range(asked.size.shape[0]):
         fastest = max(fastest, asked.size[i])
-    return CAUTION.bend * asked.h * math.sqrt(miss) * heavy * fastest * fastest, fastest
+    return CAUTION.bend * asked.h * math.sqrt(miss) * fastest * fastest, fastest
 
 
 @inner
