@@ -113,3 +113,16 @@ def test_an_arm_that_a_limit_keeps_from_a_lower_level_rests_at_that_limit():
     steps = [tracker.update(turned, 0.02) for _ in range(400)]
     assert steps[-1].position_error < 1e-3 < 0.1 < steps[-1].orientation_error and steps[-1].at_rest
     assert {step.status for step in steps[-50:]} == {StepStatus.AT_LIMIT} and "wrist_roll" in steps[-1].reason
+
+
+def test_what_comes_second_is_not_slowed_by_what_comes_first():
+    robot = robots.load("hydrolek_7w")
+    turned = robot.fk(robot.home).homogeneous @ ik.pose((0, 0, 0), rpy=(0, 0, 1.0))
+    took = []
+    for options in ({}, {"priority": "position"}):
+        tracker, k = ik.Tracker(robot, q0=robot.home, **options), 0
+        while (step := tracker.update(turned, 0.02)).orientation_error > 2e-3 and k < 200:
+            k += 1
+            assert step.position_error < 1e-3
+        took.append(k)
+    assert 20 < took[1] < 1.3 * took[0], "as long as the wrist's speed takes"
