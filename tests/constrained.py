@@ -17,13 +17,25 @@ def many(count):
 @cached
 def kernel(J, weight, ask, want, size, low, high, A, b, count, mode, step, mu, x, active, kept):
     (n, m), rows = J.shape, A.shape[0]
-    block, none = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n)
-    asked = TaskRate(view(J), view(weight), view(ask), view(want), view(none), view(size), mode, step, mu)
+    block, none, rank = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n), np.full(m, weight.max())
+    asked = TaskRate(
+        view(J),
+        view(weight),
+        view(rank),
+        view(ask),
+        view(want),
+        view(none),
+        view(size),
+        mode,
+        step,
+        mu,
+    )
     allowed = Allowed(view(low), view(high), view(A), view(b), count)
     taken = StepTaken(view(x), view(active), view(kept))
     status = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
     keep(block)
     keep(none)
+    keep(rank)
     return status
 
 

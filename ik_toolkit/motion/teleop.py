@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import check_target
+from ..robot.pose import as_array, check_target
 from ..validate import number, positive, switch
 
 ROTATION = "R_base_controller must be a rotation matrix (3, 3)"
@@ -31,7 +31,7 @@ class Teleop:
 
     Attributes:
         T_base_tip: (4, 4) The present target.
-        engaged: Whether the clutch was engaged in the last update.
+        engaged: Whether the target followed the hand in the last update.
 
     Raises:
         InvalidTarget: T_base_tip is not a pose.
@@ -75,20 +75,23 @@ class Teleop:
             engaged: Whether the clutch is held.
             dt: Time since the last update [s].
 
+        While the pose has numbers that are not finite, as from a device that lost its tracking, the target stays, and the hand
+        takes it up from where it is seen again.
+
         Raises:
             InvalidTarget: T_controller is not a pose; the target has not moved.
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
-        if not switch(
-            engaged,
-            "engaged",
-            # This precedes the check of the pose, because a released clutch counts even if the device sends an invalid pose.
-        ):
+        # A released clutch counts even if the device sends an invalid pose.
+        if not switch(engaged, "engaged"):
             self._anchor, self._released, self.engaged = None, True, False
-        hand, dt = _pose(T_controller), positive(dt, "dt [s]")
-        if engaged and self._anchor is None and self._released:
+        raw, dt = floats(as_array(T_controller), "a pose (4, 4) is needed", InvalidTarget), positive(dt, "dt [s]")
+        hand = _pose(raw) if np.isfinite(raw).all() else None
+        if hand is None:
+            self._anchor = None
+        elif engaged and self._anchor is None and self._released:
             self._anchor, self._turned = (hand, self.T_base_tip.copy()), np.zeros(3)
-        if self._anchor is not None:
+        if hand is not None and self._anchor is not None:
             self._approach(self._wanted(hand), dt)
         self.engaged = self._anchor is not None
         return self.T_base_tip.copy()

@@ -84,8 +84,8 @@ class Published:
         """Return the task parameters for the compiled loop; kinds: kind of target (KIND.pose or KIND.position) of each tip.
 
         Returns:
-            The packed task parameters, and an array (3, m) with a column for each error: its weight, its slack (dead band) in
-                arm reaches or rad, and the same slack in m or rad.
+            The packed task parameters, and an array (4, m) with a column for each error: its weight, its slack (dead band) in
+                arm reaches or rad, the same slack in m or rad, and the weight of its level next to level 0.
         """
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
@@ -97,10 +97,8 @@ class Published:
             if task.kind == KIND.part:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
-            first = RELATIVE if task.other >= 0 else 1.0
-            counts.append(
-                [weights * first * even(self.robot, self.options) * np.repeat(LOWER**level, 3), slack, slack * unit]
-            )
+            share = (RELATIVE if task.other >= 0 else 1.0) * np.repeat(LOWER**level, 3)
+            counts.append([weights * even(self.robot, self.options) * share, slack, slack * unit, share])
         orders = np.concatenate([np.zeros(SIZE.orders), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
@@ -147,11 +145,12 @@ class RuleSteps:
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the task parameters for the compiled loop, and an array (3, m) whose first row holds the errors' weights.
+        """Return the task parameters for the compiled loop, and an array (4, m) whose first row holds the errors' weights.
 
         The weights are used for null-space motion. The other rows are not used, as the solver's iteration handles slack itself.
         """
-        counts = np.zeros((3, 6 * len(kinds)))
+        counts = np.ones((4, 6 * len(kinds)))
+        counts[1:3] = 0.0
         counts[0] = np.tile(even(self.robot, self.options), len(kinds))
         return self.solver.plan.orders(kinds, True), counts
 

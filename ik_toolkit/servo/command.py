@@ -233,7 +233,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         bend(task, look, s, weighed)
     if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
         for k in range(m):
-            s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
+            s.weight[k], s.heavy[k] = 1.0 if s.weight[k] > 0.0 else 0.0, given.counts[3][k]
     ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
     command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
     if damped > 0.0 and law.mode != MODE.clip:

@@ -62,6 +62,7 @@ class TaskRate(NamedTuple):
 
     J: Array  # (n, m) transposed Jacobian, one row for each joint
     weight: Array  # (m,) weights of the task's rows; 0: the row does not count
+    heavy: Array  # (m,) weight with which a row that is not met damps the motion, see `damping`
     ask: Array  # (m,) rate asked for in each row of the task
     want: Array  # (n,) desired joint rates
     aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
@@ -283,16 +284,20 @@ def damping(p, asked):
     """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
     The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is the arm's
-    reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag.
+    reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag. Each row counts with a weight of
+    its own level: a heavier one, such as that of a grip, which is kept, would slow what a lighter one asks for.
     """
-    miss, heavy, fastest = 0.0, 0.0, 0.0
-    for c in range(p.task):
-        miss += p.new.first[p.planes + p.size + c] ** 2
-    for k in range(asked.weight.shape[0]):
-        heavy = max(heavy, asked.weight[k])
+    miss, fastest, k = 0.0, 0.0, p.planes + p.size
+    for c in range(asked.heavy.shape[0]):
+        size = 0.0
+        for i in range(asked.size.shape[0]):
+            size += (asked.weight[c] * asked.J[i, c] * asked.size[i]) ** 2
+        if size > 0.0:  # `lay_out` leaves out the others.
+            miss += (asked.heavy[c] * p.new.first[k]) ** 2
+            k += 1
     for i in range(asked.size.shape[0]):
         fastest = max(fastest, asked.size[i])
-    return CAUTION.bend * asked.h * math.sqrt(miss) * heavy * fastest * fastest, fastest
+    return CAUTION.bend * asked.h * math.sqrt(miss) * fastest * fastest, fastest
 
 
 @inner

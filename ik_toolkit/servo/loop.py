@@ -114,6 +114,16 @@ def record_oscillation(law, s, code, swings, h, state):
     state[STATE.free] = 0.0 if hindered else state[STATE.free] + h
 
 
+@inline
+def weigh_levels(share, s):
+    """Write to s.heavy (m,) the largest weight of an error at each row's level; share: weight of this level next to level 0."""
+    most = 0.0
+    for k in range(share.shape[0]):
+        most = max(most, s.weight[k] / share[k])
+    for k in range(share.shape[0]):
+        s.heavy[k] = most * share[k]
+
+
 @inner
 def copy_planes(law, lines, level, planes, edges):
     """Copy the collision inequalities (lines x <= level) to `planes` and `edges`; return their number, law.rows."""
@@ -178,7 +188,7 @@ def by_constraints(law, s, count, mu, h, own, work, code):
         by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
     copy(s.x, s.w)
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
-    status = constrain(TaskRate(s.J, s.weight, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
+    status = constrain(TaskRate(s.J, s.weight, s.heavy, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
     if status >= OUTCOME.short:
         own.state[STATE.pressed] = SLACK.pressed
     for i in range(n):
@@ -280,6 +290,7 @@ def run(step, arm, given, own, samples, out, h, block):
         count = copy_planes(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
         count = slack_rows(counts[1], s, count, h, state)
+        weigh_levels(counts[3], s)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0

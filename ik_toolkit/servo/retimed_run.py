@@ -120,7 +120,7 @@ class Run:
         self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` makes `fine` denser
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
-        weights, _, _ = tracker._settings.counts
+        weights = tracker._settings.counts[0]
         self.counted = weights > 0.0  # (m,) which errors count
         self.redundant = tracker.robot.n > self.counted.sum()
         self.made: list[Taken] = []

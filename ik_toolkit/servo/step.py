@@ -142,7 +142,9 @@ class Step:
             return StepStatus.LIMITED if jumped else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
-        if (held or o.lost or self._rests()) and self.at_rest and self._away() and not self._falls():
+        # A limit may also keep the arm from what it would do for a lower level of priority.
+        stays = (held and self._away(every=True)) or ((o.lost or self._rests()) and self._away())
+        if stays and self.at_rest and not self._falls():
             return StepStatus.BLOCKED if held & BIT.row else StepStatus.AT_LIMIT
         hindered = held or (self._away() and (o.down or not self._falls()))
         return StepStatus.LIMITED if hindered else StepStatus.OK
@@ -197,10 +199,10 @@ class Step:
         moved = np.concatenate([T[1, :, :3, 3] - T[0, :, :3, 3], turns], axis=1)
         return float(self._size(moved.reshape(1, -1) - V[:1] * self._outcome.dt)[0])
 
-    def _away(self) -> bool:
-        """Return whether the remaining error of the first priority level exceeds JUDGE.position or JUDGE.angle."""
+    def _away(self, *, every: bool = False) -> bool:
+        """Return whether the remaining error of the first priority level (or of every) exceeds JUDGE.position or JUDGE.angle."""
         by = self._outcome.by
-        left = np.linalg.norm(self._outcome.errors[1].reshape(-1, 2, 3), axis=2) * by.firm
+        left = np.linalg.norm(self._outcome.errors[1].reshape(-1, 2, 3), axis=2) * np.maximum(by.firm, every)
         return bool(left[:, 0].max() > JUDGE.position or (left[:, 1] * by.posed).max() > JUDGE.angle)
 
     @property

@@ -349,7 +349,11 @@ class Stream(CopiesViews):
             return T.reshape(self.tips, 4, 4), kinds
         if isinstance(target, AxisTarget):
             return target.T_base_tip[None], ((read_one(target)[1]),)
-        raw = floats(as_array(target, self.robot.base), "a tracker takes a 4x4 pose or a position", InvalidTarget)
+        raw = floats(
+            as_array(target, self.robot.base),
+            "a tracker takes a 4x4 pose or a position, of NaN where there is none",
+            InvalidTarget,
+        )
         if raw.shape not in ((3,), (4, 4)):
             raise InvalidTarget(f"a tracker takes a 4x4 pose or a position of 3 numbers, not shape {raw.shape}")
         if not np.isfinite(raw).all():

@@ -313,13 +313,14 @@ class Tracker(CopiesViews, ReadOnly):
         """Write the settings that depend on the kinds of target, one per tip. Raises InvalidOption for slack in mode "clip"."""
         if self._kinds == kinds:
             return
-        self._orders, (weights, slack, shown) = self.engine.orders(kinds)
+        self._orders, counts = self.engine.orders(kinds)
+        weights, slack = counts[:2]
         slacks = 2 * int((slack > 0.0).sum())
         if self._mode == MODE.clip and slacks:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
         if self._postures:
             self._postures.ready(kinds)
-        self._settings.counts[:] = weights, slack, shown
+        self._settings.counts[:] = counts
         self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
         self._carried = carried_of(self._carried.block)
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0

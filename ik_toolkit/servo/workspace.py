@@ -55,7 +55,8 @@ class Settings(NamedTuple):
 
     block: Array
     law: Array  # the method and its gains, in the order of the fields of `Law`
-    counts: Array  # (3, m) weights of the errors, slack (dead band) in arm reaches or rad, slack in m or rad
+    # (4, m) weights of the errors, slack (dead band) in arm reaches or rad, slack in m or rad, weight of the level next to level 0
+    counts: Array
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
     wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
     lines: Array  # (rows, n) collision inequalities lines x <= level on joint rates; the first law.rows apply
@@ -116,7 +117,7 @@ class Record(NamedTuple):
 @shared
 def settings_shapes(n, m, rows):
     """Return the shapes of the arrays in Settings for n coordinates, m errors and `rows` inequalities."""
-    return len(PLACE), (3, m), (4, n), (3, n), (rows, n), rows, n
+    return len(PLACE), (4, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
@@ -229,6 +230,7 @@ class Bench(NamedTuple):
     ask: Array  # (m,) task rate asked of the joints
     bias: Array  # (m,) product of dJ/dt with joint rates
     weight: Array  # (m,) weights of the errors; 1 once the errors are multiplied by them
+    heavy: Array  # (m,) largest weight at the level of each error, or the level's own weight once they are multiplied
     t: Array  # (m,) scratch
     y: Array  # (max(n, m),) scratch
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
@@ -274,6 +276,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
+        m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, (rows, n), rows,
     )))  # fmt: skip

@@ -45,7 +45,7 @@ def run(J, v, want, low, high, planes, count, mode, repeats, active, kept):
         active[:] = before
         kept[:] = held
         for i in range(J.shape[0]):
-            asked = TaskRate(J[i], weight, v[i], want[i], at_rest, size, mode, 0.01, 0.0)
+            asked = TaskRate(J[i], weight, weight, v[i], want[i], at_rest, size, mode, 0.01, 0.0)
             total += constrain(asked, Allowed(low, high, A, b, count), room, taken)
     return total
 

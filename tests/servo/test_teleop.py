@@ -66,7 +66,7 @@ def test_a_released_clutch_lets_go_whatever_the_device_says():
     hands = ik.Teleop(START)
     hands.update(hand((0, 0, 0)), True, 0.01)
     with pytest.raises(InvalidTarget):
-        hands.update(np.full((4, 4), np.nan), False, 0.01)
+        hands.update(2 * np.eye(4), False, 0.01)
     for _ in range(3):
         assert hands.update(hand((0.5, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
     hands.rebase(START)
@@ -77,12 +77,27 @@ def test_a_released_clutch_lets_go_whatever_the_device_says():
     assert hands.update(hand((0.8, 0, 0)), True, 0.01)[0, 3] > START.translation[0]
 
 
+def test_a_device_that_loses_its_tracking_moves_nothing():
+    hands, lost = ik.Teleop(START, speed=1e6), np.full((4, 4), np.nan)
+    hands.update(hand((0, 0, 0)), True, 0.01)
+    moved = hands.update(hand((0.1, 0, 0)), True, 0.01)
+    assert hands.update(lost, True, 0.01) == pytest.approx(moved) and not hands.engaged
+    assert hands.update(hand((0.6, 0, 0)), True, 0.01) == pytest.approx(
+        moved
+    )  # held all the while, seen again elsewhere
+    assert hands.update(hand((0.7, 0, 0)), True, 0.01)[0, 3] == pytest.approx(moved[0, 3] + 0.1)
+    hands.rebase(START)
+    hands.update(lost, True, 0.01)
+    for x in (0.5, 0.6):  # a lost device is no released clutch
+        assert hands.update(hand((x, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
+
+
 def test_what_is_returned_is_not_the_state_and_bad_poses_change_nothing():
     hands = ik.Teleop(START)
     hands.update(hand((0, 0, 0)), True, 0.01)[:] = 7.0
     assert hands.T_base_tip == pytest.approx(START.homogeneous)
     with pytest.raises(InvalidTarget):
-        hands.update(np.full((4, 4), np.nan), True, 0.01)
+        hands.update(2 * np.eye(4), True, 0.01)
     assert hands.update(hand((0, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
     for bad in (
         {"speed": 0.0},

@@ -164,7 +164,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         state[STATE.near] = near
         task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
         none = np.zeros((3, n))
-        settings = SimpleNamespace(counts=np.zeros((3, m)), limits=limits, wish=none)
+        settings = SimpleNamespace(counts=np.zeros((4, m)), limits=limits, wish=none)
         own = SimpleNamespace(
             motion=np.array([np.zeros(n), rate]), memory=memory, away=away, basis=np.zeros((m, m)), state=state
         )

@@ -24,7 +24,7 @@ def given(mode, roof=0.5, h=0.1, plane=None, want=None, mu=0.0):
     """A step of six joints that each move one error; the first may go half as fast as is wanted."""
     n = 6
     s, state = bench(n, n), np.zeros(len(STATE))
-    s.J[:], s.size[:], s.weight[:], s.floor[:], s.roof[:] = np.eye(n), 1.0, 1.0, -2.0, 2.0
+    s.J[:], s.size[:], s.weight[:], s.heavy[:], s.floor[:], s.roof[:] = np.eye(n), 1.0, 1.0, 1.0, -2.0, 2.0
     s.why_low[:], s.why_top[:] = 2, 1
     s.roof[0] = roof
     s.x[:] = np.ones(n) if want is None else want
