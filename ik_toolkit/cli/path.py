@@ -56,7 +56,7 @@ class PathOptions:
     )
     path_tolerance_mm: float | None = option(
         "MM",
-        "How far the tip may leave the chords between poses; default 1, and with --retime the chords' own sagitta.",
+        "How far the tip may leave the chords between poses; default 1, and with --retime 1.25 times the chords' sagitta.",
     )
     rate: float = option("HZ", "With --retime: samples per second.", default=100.0, needs=["--retime"])
     output: Path | None = option(

@@ -223,7 +223,7 @@ class PathResult:
             seed: number that fixes the random search for a free motion from one branch to another.
             path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the
                 path_tolerance given to `solve_path`. If none was given, it is the larger of the default of `solve_path`
-                and the chord's sagitta, which is how far an arc through the poses leaves the chord.
+                and 1.25 times the chord's sagitta, which is how far an arc through the poses leaves the chord.
             tip_speed: speed [m/s] of the fastest tip, kept on the path wherever the limits allow (see `Trajectory.slower`), and
                 exceeded nowhere, not in the free motion of a reconfiguration either.
 

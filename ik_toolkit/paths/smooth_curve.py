@@ -1,7 +1,7 @@
 """A smooth joint curve through the rows of a path, with a proof of how far the tips leave the path between them.
 
 The poses of a path are taken as samples of a motion. Between two poses a tip may leave the straight chord by the path
-tolerance, or by the chord's sagitta: the height above the chord of an arc through the poses. A cubic spline goes
+tolerance, or by 1.25 times the chord's sagitta: the height above the chord of an arc through the poses. A cubic spline goes
 through the rows at the poses. Where it leaves a chord too far, solved rows on an arc through the poses are inserted.
 Where that does not help, there is no smooth curve, and `timing` stops the motion at corners.
 """

@@ -112,8 +112,8 @@ def _find(
             found, sliced = on_self_motions(plan, T, start, count)
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
-    if all_turns:
-        found = on_all_turns(found, plan, T[0], kinds, start[0], count)
+    found = on_all_turns(found, plan, T[0], kinds, start[0], count) if all_turns else found
+    listed = len(found)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         found = _without(found, [not model.collides(x) for x in found.q], "of them collide and are left out")
@@ -134,7 +134,7 @@ def _find(
             errors = np.array([failed.position_error]), turned
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
             found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
-        else:
+        elif not (listed and found.complete):  # otherwise it says why all are left out
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:

@@ -387,3 +387,12 @@ def test_a_bound_solver_that_decides_is_copied_and_pickled():
     assert result.status == again.status == ik.Status.LIMIT_BLOCKED and result.q.tobytes() == again.q.tobytes()
     copy = pickle.loads(pickle.dumps(result))
     assert copy.message == result.message and copy.blocked.joint == result.blocked.joint
+
+
+def test_a_list_of_which_all_collide_is_still_all():
+    robot = ik.Robot.load("ur5")
+    T = robot.fk(robot.home + 0.3).homogeneous
+    around = ik.CollisionModel(robot).add_sphere(0.15, T[:3, 3], name="ball")
+    found = ik.solve_all(robot, T, avoid_collisions=around)
+    assert len(found) == 0 and found.complete and "2 of them collide and are left out" in found.message
+    assert "restarts" not in found.message  # nothing else could be found
