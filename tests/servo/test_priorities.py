@@ -129,3 +129,19 @@ def test_what_comes_second_is_not_slowed_by_what_comes_first():
             assert step.position_error < 1e-3
         took.append(k)
     assert 20 < took[1] < 1.3 * took[0], "as long as the wrist's speed takes"
+
+
+@pytest.mark.parametrize("seed", [1, 8])
+def test_what_comes_first_is_kept_where_the_second_cannot_be(seed):
+    """SO-100 along a line at 25 mm/s with its orientation kept: the orientation pulled the position up to 0.9 mm off."""
+    robot, rng = ik.Robot.load("so100"), np.random.default_rng(seed)
+    q = robot.home + 0.5 * (robot.random_q(rng) - robot.home)
+    target, way = robot.fk(q).homogeneous, rng.normal(size=3)
+    tracker = ik.Tracker(robot, q0=q, priority="position")
+    steps = []
+    for _ in range(300):
+        target[:3, 3] += 0.025 * 0.01 * way / np.linalg.norm(way)
+        steps.append(tracker.update(target, 0.01))
+    good = [step for step in steps[4:] if step.status is StepStatus.OK]  # the target starts at full speed
+    assert len(good) > 200 and max(step.orientation_error for step in good) > 0.1
+    assert max(step.position_error for step in good) < 1e-4
