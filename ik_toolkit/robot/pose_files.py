@@ -26,7 +26,7 @@ import numpy as np
 
 from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
 from ..files import why_unread, without_mark
-from ..text import decimal
+from ..text import decimal, how_many
 from .pose_arrays import QUAT, quaternion_poses, read_arrays, read_tip_arrays, require_increasing, row_numbers, short
 from .rotation import euler_axes, euler_matrix, rotation_columns
 
@@ -285,7 +285,7 @@ def _rows(stream: TextIO, name: str, top: int) -> Iterator[tuple[int, str]]:
         before = k
         yield k, line
     if gaps:
-        lines = f"{skipped} blank line{'s' * (skipped > 1)} skipped, at {row_numbers('line', gaps)}"
+        lines = f"{how_many(skipped, 'blank line')} skipped, at {row_numbers('line', gaps)}"
         warning = logging.getLogger("ik_toolkit").warning
         warning("'%s': %s; the answers have no rows for %s", name, lines, "them" if skipped > 1 else "it")
 

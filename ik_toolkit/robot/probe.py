@@ -101,10 +101,8 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     carry = {lead.get(j, j) for j in up if j not in still}
     leaders += [j for j in others if j in carry and j not in locked and j not in leaders]
     if not leaders:
-        ends, below = (
-            f"base '{model.frames[base].name}' and tip '{model.frames[tip].name}'",
-            [j for j in up if j not in locked],
-        )
+        ends = f"base '{model.frames[base].name}' and tip '{model.frames[tip].name}'"
+        below = [j for j in up if j not in locked]
         resting = f" but those that carry the base ({', '.join(model.names[j] for j in below)}), which rest"
         raise Motionless(f"no moving joint between {ends}{resting * bool(below)}: nothing to solve")
     joints = up + down

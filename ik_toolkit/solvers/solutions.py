@@ -126,7 +126,7 @@ class Solutions(ReadOnly):
             )
         ]
         head = ("", *self.robot.joint_names, "distance", "position error", *(["found by"] if several else []))
-        which = f"{how_many(len(self), 'solution')}" + ("; there are no others" if self.complete else "")
+        which = how_many(len(self), "solution") + ("; there are no others" if self.complete else "")
         how = "ik.view(robot, list(solutions)) shows them, ik.plot(solutions) draws them as lines."
         return TextTable(which, self.message, head, rows, how).html()
 

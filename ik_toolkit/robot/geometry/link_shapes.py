@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
+from ...text import how_many
 from ..base import put_on
 from ..formats.urdf import SIZES, Item, finite_at, parse
 from ..rotation import rpy_matrix
@@ -230,7 +231,7 @@ def _numbers(
             raise ModelError(f"<{tag}> has no {key}")
         some = finite_at(attributes, key, count, default or "")
         if not some:
-            raise ModelError(f'<{tag} {key}="{attributes[key][:60]}"> is not {count} finite number{"s" * (count > 1)}')
+            raise ModelError(f'<{tag} {key}="{attributes[key][:60]}"> is not {how_many(count, "finite number")}')
         values += some
     return tuple(values)
 

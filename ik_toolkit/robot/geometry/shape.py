@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
 from ...files import as_path
+from ...text import how_many
 from ..formats.urdf import SIZES
 from .meshes import Mesh, find_mesh, read_meshes
 
@@ -123,7 +124,7 @@ def is_shape(value: Any) -> Shape:
 
 
 def _positive(what: str, values: Any, count: int) -> tuple[float, ...]:
-    wanted = f"the {what} must be {count} positive number{'s' * (count > 1)} [m]"
+    wanted = f"the {what} must be {how_many(count, 'positive number')} [m]"
     array = floats(values, wanted, InvalidOption)
     if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
         raise InvalidOption(f"{wanted}, not {values!r:.60}")
