@@ -69,6 +69,18 @@ class M3(NamedTuple):
         return V3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
 
+@inline
+def product(a, b):
+    """Return the matrix product a b."""
+    return M3(a.times(b.x), a.times(b.y), a.times(b.z))
+
+
+@inline
+def transposed(m):
+    """Return the transpose of a matrix."""
+    return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
+
+
 @compiled
 class Sym3(NamedTuple):
     """A symmetric 3x3 matrix."""

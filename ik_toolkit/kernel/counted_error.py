@@ -24,7 +24,7 @@ import math
 from typing import NamedTuple
 
 from ..compile.jit import compiled, inline, inner
-from .algebra import M3, V3, at3, put3, rotation_at
+from .algebra import M3, V3, at3, product, put3, rotation_at, transposed
 from .kinematics import angle_ratio, column, rotation_angle
 from .records import WHAT, Array
 
@@ -276,6 +276,44 @@ def add_products(J, first, e, factor, H):
                 H[j, i] += h
 
 
+@compiled
+class Bend(NamedTuple):
+    """Factors of the second derivatives of a tip's error with respect to two of its joints, see `add_pairs`."""
+
+    linear: V3  # factors of the position
+    turn: V3  # factors of the rotation vector, of a constraint
+    least: M3  # matrix of the squared rotation error that is minimised
+
+
+@inline
+def plus_cross(m, v):
+    """Return the matrix m plus that of the cross product with v from the left."""
+    return M3(m.x + V3(0.0, v.z, -v.y), m.y + V3(-v.z, 0.0, v.x), m.z + V3(v.y, -v.x, 0.0))
+
+
+@inline
+def plus_diagonal(x, y, z, d, factor):
+    """Return `factor` times the matrix with the columns x, y and z plus d on its diagonal."""
+    x, y, z = x + V3(d, 0.0, 0.0), y + V3(0.0, d, 0.0), z + V3(0.0, 0.0, d)
+    return M3(x * factor, y * factor, z * factor)
+
+
+@inner
+def add_pairs(rows, joints, tip, linear, turn, H):
+    """Add to H (n, n), for each pair of joints of a chain, (linear x v_r) . u_t + (turn v_r) . v_t with joint r nearer the base."""
+    for r in range(rows.shape[0]):
+        u, v = column(rows, joints, r, tip)
+        i, ratio = int(rows[r, 8]), rows[r, 4] + rows[r, 6]
+        u, v = linear.cross(v) * ratio, turn.times(v) * ratio
+        for t in range(r, rows.shape[0]):
+            x, y = column(rows, joints, t, tip)
+            j = int(rows[t, 8])
+            h = (u.dot(x) + v.dot(y)) * (rows[t, 4] + rows[t, 6])
+            H[i, j] += h
+            if r != t:
+                H[j, i] += h
+
+
 @inner
 def add_curvature(state, J, first, e, c, least, H):
     """Add to H (n, n) the second derivatives of a tip's part of a Lagrangian.
@@ -288,8 +326,11 @@ def add_curvature(state, J, first, e, c, least, H):
         c: (m,) factors of the second derivatives of the errors: minus the multiplier of a constraint, or minus the error itself.
         least: (2,) flags for position and rotation: 1 if half the squared error is a part of what is minimised, else 0.
         H: (n, n) The matrix to add to.
+
+    Returns:
+        The factors (Bend) of the tip's own joints, for `relative.add_goal_curvature`.
     """
-    rows, joints, task, kept = state.rows, state.joints, state.task, state.kept
+    task, kept = state.task, state.kept
     kind = int(task[WHAT.kind])
     R, G, tip = rotation_at(state.pose, 0), rotation_at(state.goal, 0), at3(state.pose, 9)
     cp, cr = at3(c, first), at3(c, first + 3) * 0.5
@@ -297,11 +338,12 @@ def add_curvature(state, J, first, e, c, least, H):
         cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
-    turn, free, a, b, weight, cosine = 0.0, False, cp, cp, 1.0, 1.0
+    none, weight, cosine = V3(0.0, 0.0, 0.0), 1.0, 1.0
+    m = M3(none, none, none)
     if least[1] > 0.0:
         weight = 1.0 if kind == KIND.pose else even_weight(task)
         if weight > 0.0:
-            turn, cr = 1.0, cr * 0.0
+            turn, cr = 1.0, none
             if kind == KIND.part:
                 angle = math.sqrt(at3(e, first + 3).square()) / weight
                 cosine, turn = (
@@ -310,26 +352,16 @@ def add_curvature(state, J, first, e, c, least, H):
                 )
                 factor = (1.0 - turn * cosine) / (angle * angle) if angle > SMALL.angle else 1.0 / 3.0
                 add_products(J, first + 3, e, factor / (weight * weight), H)
-                free = task[WHAT.free] > 0.0
-                if free:
-                    axis = at3(task, WHAT.ax)
-                    a, b = R.times(axis), G.times(axis)
+            turn *= weight * weight
+            if kind == KIND.part and task[WHAT.free] > 0.0:
+                axis = at3(task, WHAT.ax)
+                a, b = R.times(axis), G.times(axis)
+                m = plus_diagonal(b * -a.x, b * -a.y, b * -a.z, a.dot(b), turn)
+            else:
+                left = product(G, transposed(R))
+                trace = left.x.x + left.y.y + left.z.z
+                m = plus_diagonal(-left.x, -left.y, -left.z, trace, 0.5 * turn)
         else:
             add_products(J, first + 3, e, 0.0, H)
-    trace = R.x.dot(G.x) + R.y.dot(G.y) + R.z.dot(G.z)
-    turn = turn * weight * weight
-    for r in range(rows.shape[0]):
-        u, v = column(rows, joints, r, tip)
-        i, ratio = int(rows[r, 8]), rows[r, 4] + rows[r, 6]
-        linear, angular = cp.cross(v), cr.cross(v)
-        if turn > 0.0 and free:
-            angular = angular + (v * a.dot(b) - b * v.dot(a)) * turn
-        elif turn > 0.0:
-            angular = angular + (v * trace - G.times(R.across(v))) * (0.5 * turn)
-        for t in range(r, rows.shape[0]):
-            x, y = column(rows, joints, t, tip)
-            j = int(rows[t, 8])
-            h = (linear.dot(x) + angular.dot(y)) * ratio * (rows[t, 4] + rows[t, 6])
-            H[i, j] += h
-            if r != t:
-                H[j, i] += h
+    add_pairs(state.rows, state.joints, tip, cp, plus_cross(m, cr), H)
+    return Bend(cp, cr, m)

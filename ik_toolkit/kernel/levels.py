@@ -7,6 +7,8 @@ the levels above have left (sequential quadratic programming; Nocedal and Wright
     level 0         J' d = e                            a constraint, solved with damping as in Levenberg-Marquardt
     level k > 0     min g' d + d' H d / 2               over what is left; H has the constraint's curvature, too
 
+A level that is met, after those before it, joins the constraint.
+
 If no attempt reaches level 0, it is minimised like the others, with its own second derivatives: a stretched arm's Jacobian is
 singular, so its null space would move the tip.
 """
@@ -145,20 +147,21 @@ def hessian_of_level(p, c, level, bench):
 
 
 @inner
-def onto_constraint(s, level, k, value, bench):
-    """Write to s.dq the damped step onto level 0, and to bench.basis a basis of its null space; return how many vectors that has.
+def onto_constraint(s, level, base, k, value, bench):
+    """Write to s.dq the damped step onto a constraint, to bench.basis a basis of its null space; return how many vectors that has.
 
     Args:
         s: Working memory; the errors are in s.y.
         level: (2 F,) level of each group of errors (position and rotation of each tip).
+        base: The errors of the levels below this one are the constraint.
         k: Number of free joints.
-        value: Squared error of level 0.
+        value: Squared error of the constraint.
         bench: Scratch; `border` and `triangle` are filled for `multipliers`.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
     r, most = 0, 0.0
     for h in range(s.J.shape[1]):
-        if level[h // 3] == 0.0:
+        if level[h // 3] < base:
             for i in range(k):
                 B[r, i] = V[r, i] = s.J[int(free[i]), h]
             b[r] = s.y[h]
@@ -243,15 +246,15 @@ def down_level(s, k, last, bench, box):
 
 
 @inner
-def multipliers(level, k, bench):
-    """Write minus the Lagrange multipliers of level 0, for the gradient of another level, to bench.multiplier.
+def multipliers(level, base, k, bench):
+    """Write minus the Lagrange multipliers of the levels below `base`, for the gradient of another level, to bench.multiplier.
 
     The last call of `onto_constraint` must have written the factors in `bench` that are used here.
     """
     b, out, r = bench.rhs, bench.multiplier, 0
     clear(out)
     for g in range(level.shape[0]):
-        for _ in range(3 if level[g] == 0.0 else 0):
+        for _ in range(3 if level[g] < base else 0):
             b[r] = 0.0
             for i in range(k):
                 b[r] += bench.border[r, i] * bench.gradient[int(bench.free[i])]
@@ -259,7 +262,7 @@ def multipliers(level, k, bench):
     cholesky_solve(bench.triangle, r, b)
     r = 0
     for h in range(3 * level.shape[0]):
-        if level[h // 3] == 0.0:
+        if level[h // 3] < base:
             out[h] = -b[r]
             r += 1
 
@@ -311,12 +314,13 @@ def step_by_levels(p, e, level, far):
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
+    base = 0 if far else max(1, -math.floor(e.ee))  # the levels below this one are met, see `level_search.rank_errors`
     for g in range(level.shape[0]):
         top = max(top, level[g])
-        value += p.group(e, g) if level[g] == 0.0 else 0.0
+        value += p.group(e, g) if level[g] < base else 0.0
     p.stack(e)
     copy(s.w, bench.asked)
-    released, first = 0, 0 if far else 1  # The joint limits act on the first level that is minimised.
+    released = 0
     for _ in range(3 * n + 2):
         k = 0
         clear(s.dq)
@@ -327,17 +331,16 @@ def step_by_levels(p, e, level, far):
                 k += 1
         steep, count, inward = 0.0, k, -1
         clear(bench.multiplier)
-        for c in range(int(top) + 1):
-            if c == 0 and not far:
-                k = onto_constraint(s, level, k, value, bench)
-                if released > 0:  # What is left within the tolerance must not push the released joints back out.
-                    clear(s.dq)
-                continue
+        if not far:
+            k = onto_constraint(s, level, base, k, value, bench)
+            if released > 0:  # What is left within the tolerance must not push the released joints back out.
+                clear(s.dq)
+        for c in range(base, int(top) + 1):
             slope_of_level(p, c, level, bench.gradient)
-            if c > 0 and not far:
-                multipliers(level, count, bench)
+            if not far:
+                multipliers(level, base, count, bench)
             size = size_of_level(p, e, c, level)
-            if c == first:
+            if c == base:  # The joint limits act on the first level that is minimised.
                 inward = wrongly_held(s, size, bench, box)
             if k == 0:
                 break

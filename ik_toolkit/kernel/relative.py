@@ -1,7 +1,8 @@
 """Targets given relative to another tip: where such a target is, and how it moves with the other tip."""
 
-from ..compile.jit import inline, inner
-from .algebra import M3, V3, at3, put3, put_axes, rotation_at
+from ..compile.jit import inner
+from .algebra import M3, V3, at3, product, put3, put_axes, rotation_at, transposed
+from .counted_error import add_pairs, plus_cross
 from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
@@ -11,18 +12,6 @@ TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
 LINK = 24  # length of the array (LINK,)
-
-
-@inline
-def product(a, b):
-    """Return the matrix product a b."""
-    return M3(a.times(b.x), a.times(b.y), a.times(b.z))
-
-
-@inline
-def transposed(m):
-    """Return the transpose of a matrix."""
-    return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
 
 
 @inner
@@ -65,3 +54,26 @@ def fill_goal(rows, task, kept, joints, pose, link, J, first):
         u, v = frame.times(u), frame.times(v)
         u, v = counted_goal(kind, kept, u, v)
         add_column(J, int(rows[i, 8]), first, -(rows[i, 4] + rows[i, 6]), u, v)
+
+
+@inner
+def add_goal_curvature(own_rows, own_joints, rows, joints, pose, link, bend, H):
+    """Add to H (n, n) what `counted_error.add_curvature` leaves out if a tip's target moves with another tip.
+
+    bend: what `add_curvature` returned for the tip; own_rows and own_joints are of its chain, rows, joints and pose those of the
+    other tip. A pair of joints of the other chain acts as one of the tip's own does when tip and target change places; a pair of
+    one joint from each chain acts on the rotation alone, as if the other chain, walked backwards, came before the tip's own.
+    """
+    point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
+    frame = rotation_at(link, FRAME)
+    back, turn = transposed(frame), plus_cross(bend.least, bend.turn)
+    add_pairs(rows, joints, point, -back.times(bend.linear), product(back, product(transposed(turn), frame)), H)
+    for r in range(rows.shape[0]):
+        _, v = column(rows, joints, r, point)
+        v = -turn.times(frame.times(v)) * (rows[r, 4] + rows[r, 6])
+        i = int(rows[r, 8])
+        for t in range(own_rows.shape[0]):
+            _, y = column(own_rows, own_joints, t, point)
+            j, h = int(own_rows[t, 8]), v.dot(y) * (own_rows[t, 4] + own_rows[t, 6])
+            H[i, j] += h
+            H[j, i] += h

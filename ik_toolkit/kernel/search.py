@@ -171,7 +171,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
         if needs_jacobian:
             p.jacobian(e)
         k += 1.0
-        ceiling *= patience.decay
+        ceiling = patience.ceiling if e.ee < 0.0 else ceiling * patience.decay
         copy(job.weights, w)
         p.desk.spent[0] = count
         for _ in range(2):

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
-from .algebra import V3, at3, put3, put_axes, rotation_at
+from .algebra import V3, at3, product, put3, put_axes, rotation_at
 from .checks import RIGID, rigid
-from .counted_error import IN, KIND, TipState, add_curvature, add_products, angle_left, turn_axis, vector_ratio
+from .counted_error import IN, KIND, TipState, add_curvature, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
@@ -31,7 +31,7 @@ from .problem import (
     tolerances,
 )  # fmt: skip
 from .records import SIZE, WHAT, Array, Ends, Miss, Orders, write
-from .relative import FRAME, LINK, carry, fill_goal, link_to, product
+from .relative import FRAME, LINK, add_goal_curvature, carry, fill_goal, link_to
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 from .vectors import clear, dot
 
@@ -279,15 +279,12 @@ class TreeProblem(NamedTuple):
     def curvature(self, c, least, H):
         s = self.desk
         for f in range(self.tasks.shape[0]):
-            if self.other_of(f) < 0:
-                state = TipState(
-                    self.rows_of(f), self.joints_of(f), self.tasks[f], self.kept[f], self.goals[f], self.poses[f]
-                )
-                add_curvature(state, s.J, 6 * f, s.y, c, least[2 * f :], H)
-            else:  # For a target that moves with another tip, only the products of first derivatives are used.
-                for part in range(2):
-                    if least[2 * f + part] > 0.0:
-                        add_products(s.J, 6 * f + 3 * part, s.y, 0.0, H)
+            rows, joints, other = self.rows_of(f), self.joints_of(f), self.other_of(f)
+            state = TipState(rows, joints, self.tasks[f], self.kept[f], self.goals[f], self.poses[f])
+            bend = add_curvature(state, s.J, 6 * f, s.y, c, least[2 * f :], H)
+            if other >= 0:
+                pose, link = self.poses[other], self.links[f]
+                add_goal_curvature(rows, joints, self.rows_of(other), self.joints_of(other), pose, link, bend, H)
 
     def bounds_of_step(self):
         return self.ends_of(0)

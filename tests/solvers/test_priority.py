@@ -164,27 +164,6 @@ def test_words_name_what_is_reached_and_what_is_left():
     assert met.message.startswith("converged in ")
 
 
-def test_several_tips_in_an_order_of_their_own():
-    tree = ik.Tree.load("brokk_hydrolek")
-    rng = np.random.default_rng(8)
-    for _ in range(10):
-        at = tree.fk(tree.random_q(rng))
-        T = {tip: at[tip].homogeneous.copy() for tip in tree.tips}
-        for tip in tree.tips:
-            T[tip][:3, :3] = pin.exp3(rng.uniform(-0.3, 0.3, 3)) @ T[tip][:3, :3]
-        both = ik.solve(tree, T, priority="position")
-        assert both.success and max(both.position_errors.values()) <= 1e-6
-        order = [("left_tip", "position"), ("left_tip", "orientation"), "right_tip"]
-        first = ik.solve(tree, T, priority=order)
-        assert first.success and first.position_errors["left_tip"] <= 1e-6
-        assert [list(level) for level in first.level_errors] == [
-            ["left_tip position"], ["left_tip orientation"], ["right_tip position", "right_tip orientation"],
-        ]  # fmt: skip
-        assert first.orientation_errors["left_tip"] <= both.orientation_errors["left_tip"] + 1e-3
-    equal = [["left_tip", "right_tip"]]
-    assert ik.solve(tree, at, priority=equal).success
-
-
 def test_batch_gives_the_same_as_single_solves():
     robot, rng = five_joints(), np.random.default_rng(9)
     T = np.array([turned(robot, rng, 0.4) for _ in range(30)])

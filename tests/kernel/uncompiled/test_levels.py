@@ -57,7 +57,7 @@ def test_the_step_onto_a_constraint_is_damped_and_leaves_its_null_space(far):
     bench, free = tables(n, 9), [i for i in range(n) if i != held]
     bench.free[: n - 1] = free
     value = 0.5
-    left = onto_constraint(s, level, n - 1, value, bench)
+    left = onto_constraint(s, level, 1, n - 1, value, bench)
     rows = [h for h in range(9) if level[h // 3] == 0.0]
     A = s.J[free][:, rows].T
     damped = A @ A.T + (QUADRATIC.damping * value + QUADRATIC.least_damping) * np.eye(6)
@@ -69,7 +69,7 @@ def test_the_step_onto_a_constraint_is_damped_and_leaves_its_null_space(far):
     np.testing.assert_allclose(basis.T @ basis, np.eye(left), atol=1e-12)
     np.testing.assert_allclose(A @ basis[free], 0.0, atol=1e-12)
     bench.gradient[:n] = rng.normal(size=n)
-    multipliers(level, n - 1, bench)
+    multipliers(level, 1, n - 1, bench)
     found = np.linalg.solve(damped, A @ bench.gradient[free])
     np.testing.assert_allclose(bench.multiplier[rows], -found, rtol=1e-9)
     assert not bench.multiplier[[h for h in range(9) if h not in rows]].any()

@@ -230,3 +230,55 @@ def test_whole_poses_of_several_tips():
     A = T[0, :3, :3]
     np.testing.assert_allclose(out[6:], [*(R[1] @ A @ V[6:9] / tree.scale), *(R[1] @ A @ V[9:])], atol=1e-12)
     assert p.inside(0, 9.0) == Ends(tree.ends[0], n).upper(0) and p.inside(0, -9.0) == Ends(tree.ends[0], n).lower(0)
+
+
+@pytest.mark.parametrize("kind", ["pose", "weights", "free turn"])
+@pytest.mark.parametrize("other", [False, True])
+def test_second_derivatives_of_the_errors(other, kind):
+    """Of what is minimised anywhere, and of a constraint along its null space, where it is met."""
+    rng = np.random.default_rng(80)
+    tree, parts = pair(rng)
+    n, link = len(tree.lower), 0.0 if other else -1.0
+    second = {
+        "pose": task(other=link),
+        "weights": task(KIND.part, other=link, w0=0.6, w1=0.6, w2=0.6, w3=0.3, w4=0.3, w5=0.3),
+        "free turn": task(KIND.part, other=link, free=1.0, ax=0.48, ay=0.6, az=0.64),
+    }[kind]
+    p = make_tree(tree.rows, tree.ends, np.concatenate([task(), second]), n, orders())
+    q, goal = (rng.uniform(tree.lower, tree.upper) for _ in range(2))
+    T = np.array([arms.fk(rows, base, tip, goal[place])[0] for rows, base, tip, place in parts])
+    if other:
+        T[1] = np.linalg.inv(T[0]) @ T[1]
+    p.aim(T, orders())
+    turned = np.array([1.0 if g % 2 and (g == 1 or kind == "pose") else 0.0 for g in range(4)])
+
+    def gradient(x, weights):
+        """Of half the squared errors, or of the errors times `weights`; a pose's rotation error counts as 1 - cos(angle)."""
+        p.jacobian(look := p.evaluate(x))
+        p.stack(look)
+        factors = p.desk.y.copy() if weights is None else weights
+        for g in np.flatnonzero(turned) if weights is None else ():
+            factors[3 * g : 3 * g + 3] *= p.tilt(g)
+        return -p.desk.J @ factors
+
+    def differences(x, weights=None):
+        steps = 1e-6 * np.eye(n)
+        return np.array([gradient(x + d, weights) - gradient(x - d, weights) for d in steps]) / 2e-6
+
+    def second_derivatives(x, weights, chosen):
+        p.jacobian(look := p.evaluate(x))
+        p.stack(look)
+        H = np.zeros((n, n))
+        p.curvature(-p.desk.y if weights is None else -weights, np.full(4, chosen), H)
+        return H
+
+    x = q / tree.unit
+    np.testing.assert_allclose(second_derivatives(x, None, 1.0), differences(x), atol=1e-8)
+    x, weights = goal / tree.unit, rng.normal(size=12)
+    for f in range(2):
+        only = weights * (np.arange(12) // 6 == f)
+        H = second_derivatives(x, only, 0.0)
+        _, sizes, V = np.linalg.svd(p.desk.J[:, 6 * f : 6 * f + 6].T)
+        Z = V[np.count_nonzero(sizes > 1e-9) :].T
+        assert Z.shape[1] >= n - 6
+        np.testing.assert_allclose(Z.T @ H @ Z, Z.T @ differences(x, only) @ Z, atol=1e-8)
