@@ -47,7 +47,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
     if first is not None and first.stop == len(motion.curve):
         return 1.0
     reached = 0.0 if first is None else float(np.interp(motion.at[first.stop - 1], at, way))
-    if freedom(p.single, p.kinds).lacks:
+    if p.follower is p.single and freedom(p.single, p.kinds).lacks:
         return reached  # The arm cannot reach interpolated poses, so it is not followed beyond a pose that it reaches.
 
     def follow(q: np.ndarray, begin: float) -> float:
@@ -55,7 +55,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
 
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
-            row = p.single.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
+            row = p.follower.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
             new = row[SIZE.answer : SIZE.answer + p.robot.n].copy()
             near = (np.abs(new - q) <= p.most * p.unit).all()
             free = search.collides is None or not search.collides(new)

@@ -36,6 +36,7 @@ class Problem:
         at (N,): position of each pose on the path through the requested ones (3.5 is halfway from pose 3 to pose 4)
         stand (n,): values [internal units] at which joints of weight 0 are held, from q0 or otherwise home
         plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
+        follower: a Plan that follows the path from one pose to the next; `single`, or one with the path's priority
         rows, ends, orders: the arrays of `single` that compiled functions take
         limits (3, n): lower limit, upper limit [internal units], and 1 where both are finite
         endless (n,): whether a joint is revolute without limits
@@ -53,14 +54,16 @@ class Problem:
         deviation: tuple[float, float],
         q0: np.ndarray | None = None,
         at: np.ndarray | None = None,
+        follower: Plan | None = None,
     ) -> None:
-        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m] and `at` as described for the class."""
+        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m], `at` and `follower` as for the class."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
         self.poses = T.reshape(len(T), -1, 4, 4)
         self.at = np.arange(float(len(T))) if at is None else at
         self.deviation = np.array(deviation)
         self.single: Plan = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)
+        self.follower = self.single if follower is None else follower
         self.rows, self.ends = self.single.chain[:2]
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
@@ -171,13 +174,19 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     """
     plan = solver.plan_for(kinds)
     start = (plan.home if q0 is None else q0[None]).copy()
+    before = start if q0 is not None else np.empty((0, plan.robot.n))
     minima = search_solutions(plan, T[:1], kinds, start, *MINIMA[:2]).q
     followed = [_follow(plan, T, kinds, q) for q in (minima if len(minima) else start)]
-    Q, good = min(followed, key=lambda one: _worth(plan, T, kinds, *one))
+    Q, good = min(followed, key=lambda one: _worth(plan, T, kinds, before, *one))
     nearest = T.copy()
     for t in np.flatnonzero(good):
         nearest[t] = np.reshape([pose.homogeneous for pose in plan.robot.tip_poses(Q[t])], T.shape[1:])
     return nearest
+
+
+def next_to(plan: Plan) -> Plan:
+    """Return the Plan with one attempt, which changes no joint by more than the default largest step."""
+    return plan.varied(restarts=0, follow=STEP[0])
 
 
 def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -185,8 +194,7 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
 
     Where a minimum of the lower levels ends, the joints move to another one in steps, as far as the first level allows.
     """
-    robot = plan.robot
-    single = plan.varied(restarts=0, follow=STEP[0])
+    robot, single = plan.robot, next_to(plan)
     Q, good = np.empty((len(T), robot.n)), np.zeros(len(T), dtype=bool)
     for t in range(len(T)):
         row = single.solve(T[t : t + 1], kinds, q[None], True)
@@ -197,8 +205,13 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
     return Q, good
 
 
-def _worth(plan: Any, T: np.ndarray, kinds: tuple, Q: np.ndarray, good: np.ndarray) -> tuple[int, int, float]:
-    """Return how many poses a motion misses, how often it jumps, and the sum of its errors of the lower levels."""
+def _worth(
+    plan: Any, T: np.ndarray, kinds: tuple, before: Any, Q: np.ndarray, good: np.ndarray
+) -> tuple[int, int, float]:
+    """Return how many poses a motion misses, how often it jumps, and the sum of its errors of the lower levels.
+
+    before: The start (1, n) of the path [rad or m], or (0, n).
+    """
     lower = np.array(group_levels(plan.robot, plan.options)) > 0
     total = 0.0
     for t in np.flatnonzero(good):
@@ -206,7 +219,7 @@ def _worth(plan: Any, T: np.ndarray, kinds: tuple, Q: np.ndarray, good: np.ndarr
         total += sum(
             error or 0.0 for error, less in zip((x for pair in errors for x in pair), lower, strict=True) if less
         )
-    moves = np.abs(np.diff(Q[good], axis=0)) / plan.robot.chain.unit
+    moves = np.abs(np.diff(np.vstack([before, Q[good]]), axis=0)) / plan.robot.chain.unit
     return int((~good).sum()), int((moves > MINIMA.jump).any(axis=1).sum()), total
 
 

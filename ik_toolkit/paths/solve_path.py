@@ -26,7 +26,7 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, HalfTurns, Problem, all_reached, nearest_poses
+from .path_problem import STEP, HalfTurns, Problem, all_reached, nearest_poses, next_to
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
@@ -105,13 +105,13 @@ def solve_path(
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
-    wanted, places, met = None, None, None
+    wanted, places, met, follower = None, None, None, None
     if solver.options.priority is not None:
         given = dict(
             q0=q0, q_end=q_end, max_step=max_step, path_tolerance=path_tolerance, avoid_collisions=avoid_collisions,
             reconfigurations=reconfigurations, seed=seed, threads=threads, progress=progress,
         )  # fmt: skip
-        met, solver, nearest, places = _by_levels(solver, T, kinds, poses, given, options)
+        met, solver, follower, nearest, places = _by_levels(solver, T, kinds, poses, given, options)
         if met is not None and not met.reconfigurations:
             return _against(met, None, notice)
         wanted, T = T, nearest
@@ -122,7 +122,7 @@ def solve_path(
         poses, at, most = turns.poses(), places, (longer * step[0], longer * step[1])
         if at is None and between and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, tolerance, q0, at, follower)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -172,7 +172,7 @@ def _check(options: Mapping[str, Any], progress: Any) -> None:
 
 
 def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict, options: Mapping) -> tuple:
-    """Return a path on which every level is met, or None, a Solver without priorities, poses within reach and their places."""
+    """Return a path that meets all levels or None, a Solver without priorities, a Plan with them, poses in reach, their places."""
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):
@@ -181,7 +181,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
     if met is None or met.reconfigurations:
         T = nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, given["q0"])
-    return met, strict, T, places
+    return met, strict, next_to(solver.plan_for(kinds)), T, places
 
 
 def _fewer(met: PathResult | None, made: PathResult) -> PathResult:

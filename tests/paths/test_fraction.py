@@ -47,3 +47,22 @@ def test_poses_of_an_arm_against_single_solves(name, count):
         )
         assert path.fraction < reached + EXACT
         assert path.fraction > 0.5 * reached - EXACT
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "so101"])
+def test_with_a_priority_a_path_goes_at_least_as_far(name):
+    """However many poses describe the line; a motion of which every level is met counts as well."""
+    arm, rng = robots.load(name), np.random.default_rng(6)
+    q0 = 0.5 * (arm.random_q(rng) + arm.home)
+    start, way = arm.fk(q0).homogeneous, rng.normal(size=3)
+    end = start.copy()
+    end[:3, 3] += 1.5 * arm.reach * way / np.linalg.norm(way)
+    whole = ik.solve_path(arm, [start, end], q0=q0).fraction
+    first = []
+    for count in (2, 9, 150):
+        line = np.repeat(start[None], count, axis=0)
+        line[:, :3, 3] += np.linspace(0.0, 1.0, count)[:, None] * (end - start)[:3, 3]
+        path = ik.solve_path(arm, line, q0=q0, priority="position")
+        assert path.status == PathStatus.INCOMPLETE
+        first.append(path.fraction)
+    assert np.ptp(first) < EXACT and min(first) > whole + EXACT
