@@ -13,7 +13,7 @@ from ..solvers.enumerate import ONE_ATTEMPT, search_solutions
 from ..solvers.outcome import SPOKEN
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
-from ..solvers.task import counted_errors, group_levels
+from ..solvers.task import counted_errors, group_levels, targets_met
 from .continuity import settle_on_targets
 from .freedom import freedom
 
@@ -180,7 +180,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     Q, good = min(followed, key=lambda one: _worth(plan, T, kinds, before, *one))
     nearest = T.copy()
     for t in np.flatnonzero(good):
-        nearest[t] = np.reshape([pose.homogeneous for pose in plan.robot.tip_poses(Q[t])], T.shape[1:])
+        nearest[t] = targets_met(plan.robot, Q[t], plan.options).reshape(T.shape[1:])
     return nearest
 
 

@@ -266,6 +266,13 @@ def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
 
 
 # ------------------------------------------------------------------------------------------------------ Pinocchio's check
+def targets_met(robot: Any, q: np.ndarray, o: Options) -> np.ndarray:
+    """Return the targets (F, 4, 4) that the tips meet at q (n,): their poses in base axes, or relative to another tip."""
+    poses = [T.homogeneous for T in robot.tip_poses(q)]
+    pairs = zip(poses, relatives(robot, o), strict=True)
+    return np.array([pose if other < 0 else np.linalg.inv(poses[other]) @ pose for pose, other in pairs])
+
+
 def counted_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[float, float | None]]:

@@ -1,6 +1,7 @@
 """Arms with fewer joints than a pose has directions: their own motions are followed, and what needs a jump is still found out."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from robots import few_joints, have_data, urdf
 
@@ -95,3 +96,24 @@ def test_what_needs_a_jump_is_found_out():
     assert not any(made.robot.outside(q) for q in made.curve)
     none = ik.solve_path(robot, T, limits=limits, reconfigurations="none")
     assert none.status is PathStatus.INCOMPLETE and 15 <= np.isfinite(none.q[:, 0]).sum() <= 21
+
+
+def test_two_hands_follow_with_a_priority_and_keep_what_they_hold():
+    tree = ik.Tree.load("brokk_hydrolek")
+    (left, right), home = tree.tips, tree.fk(tree.home)
+    held = home[left].actInv(home[right]).homogeneous
+    T = np.repeat(home[left].homogeneous[None], 8, axis=0)
+    T[:, :3, 3] += np.linspace(0.0, 1.0, 8)[:, None] * [0.05, 0.1, 0.1]
+    T[:, :3, :3] = [
+        pin.exp3(np.array([0.0, 0.0, turn])) @ one[:3, :3]
+        for turn, one in zip(np.linspace(0.0, 0.3, 8), T, strict=True)
+    ]
+    poses = [{left: one, right: held} for one in T]
+    options = dict(q0=tree.home, relative_to={right: left})
+    assert not ik.solve_path(tree, poses, **options).success
+    path = ik.solve_path(tree, poses, priority=[right, (left, "position")], **options)
+    assert path.status == PathStatus.FOLLOWED
+    for q, one in zip(path.q, T, strict=True):
+        now = tree.fk(q)
+        np.testing.assert_allclose(now[left].translation, one[:3, 3], atol=2e-6)
+        np.testing.assert_allclose(now[left].actInv(now[right]).homogeneous, held, atol=2e-6)
