@@ -52,7 +52,11 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     made = q.copy()
     # The search stores configurations in single precision, so the exact values of held joints are restored here.
     made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]
-    made[there] = problem.settled(np.clip(made[there], *problem.limits[:2]), there)[0]
+    made[there] = np.clip(made[there], *problem.limits[:2])
+    rows, good = problem.settled(made[there], there)
+    made[there[good]] = rows[
+        good
+    ]  # Where Newton's steps fail, at a singular pose, the row that the search found is on its pose.
     return made * problem.unit
 
 

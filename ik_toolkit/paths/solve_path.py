@@ -111,10 +111,10 @@ def solve_path(
             q0=q0, q_end=q_end, max_step=max_step, path_tolerance=path_tolerance, avoid_collisions=avoid_collisions,
             reconfigurations=reconfigurations, seed=seed, threads=threads, progress=progress,
         )  # fmt: skip
-        met, solver, follower, nearest, places = _by_levels(solver, T, kinds, poses, given, options)
+        wanted = T, solver.options
+        met, solver, follower, T, places = _by_levels(solver, T, kinds, poses, given, options)
         if met is not None and not met.reconfigurations:
             return _against(met, None, notice)
-        wanted, T = T, nearest
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
@@ -172,7 +172,10 @@ def _check(options: Mapping[str, Any], progress: Any) -> None:
 
 
 def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict, options: Mapping) -> tuple:
-    """Return a path that meets all levels or None, a Solver without priorities, a Plan with them, poses in reach, their places."""
+    """Return a path that meets all levels or None, a Solver of whole poses, a Plan with priorities, poses in reach, their places.
+
+    What a mask or a free turn leaves free at the nearest poses is kept, because elsewhere other poses are the nearest.
+    """
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):
@@ -181,7 +184,8 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
     if met is None or met.reconfigurations:
         T = nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, given["q0"])
-    return met, strict, next_to(solver.plan_for(kinds)), T, places
+    all_counts = {name: value for name, value in exact.items() if name not in ("mask", "free_turn", "frame")}
+    return met, Solver(robot, seed=given["seed"], **all_counts), next_to(solver.plan_for(kinds)), T, places
 
 
 def _fewer(met: PathResult | None, made: PathResult) -> PathResult:
@@ -322,13 +326,13 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-def _against(made: PathResult, wanted: np.ndarray | None, notice: str = "") -> PathResult:
-    """Return the path; if it leads through nearest poses, with its errors from those that were `wanted`, and a longer message."""
+def _against(made: PathResult, wanted: tuple[np.ndarray, Options] | None, notice: str = "") -> PathResult:
+    """Return the path; if it leads through nearest poses, with its errors from those `wanted` (T, options) and a longer message."""
     if notice:
         made = replace(made, message=f"{made.message}; {notice}")
     if wanted is None:
         return made
-    errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)
+    errors = errors_at_rows(made.robot, made.q, wanted[0], made.kinds, wanted[1])
     if np.isnan(errors).all():
         return made
     worst = np.nanmax(errors, axis=0)

@@ -116,3 +116,19 @@ def test_two_hands_follow_with_a_priority_and_keep_what_they_hold():
     for q in path.q:
         now = tree.fk(q)
         np.testing.assert_allclose(now[left].actInv(now[right]).homogeneous, held, atol=2e-6)
+
+
+@pytest.mark.parametrize("options", [{"mask": (1, 1, 1, 1, 1, 0), "frame": "tip"}, {"free_turn": "z"}])
+@pytest.mark.parametrize("name", ["palletizer", "hydrolek_7w"])
+def test_what_a_target_leaves_free_leads_to_no_lesser_pose(name, options):
+    """Each pose of a path with a priority is a minimum: from there a single solve comes no nearer."""
+    robot, rng = ik.Robot.load(name), np.random.default_rng(0)
+    a = 0.6 * robot.random_q(rng) + 0.4 * robot.home
+    b = 0.5 * (a + robot.random_q(rng))
+    T = np.array([robot.fk(a + (b - a) * s).homogeneous for s in np.linspace(0.0, 1.0, 12)])
+    T[:, :3, :3] = pin.exp3(rng.uniform(-0.4, 0.4, 3)) @ T[:, :3, :3]
+    path = ik.solve_path(robot, T, priority="position", **options)
+    assert path.status == PathStatus.FOLLOWED and path.position_error.max() < 2e-6
+    for q, one, error in zip(path.q, T, path.orientation_error, strict=True):
+        single = ik.solve(robot, one, q0=q, restarts=0, priority="position", **options)
+        assert single.success and error < 1.01 * single.orientation_error + 1e-4
