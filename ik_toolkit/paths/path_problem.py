@@ -132,7 +132,7 @@ class Minima(NamedTuple):
 
     starts: int = 200  # random starts from which the first pose is solved
     attempts: int = 20  # attempts at each pose, to test whether an arm of few joints reaches all of them
-    followed: int = 8  # largest number of local minima at the first pose that are followed along the path
+    followed: int = 20  # largest number of local minima at the first pose that are followed along the path
     # [rad, or length over the reach] a joint that moves further between two poses has changed its branch
     jump: float = 0.5
 
@@ -175,7 +175,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     plan = solver.plan_for(kinds)
     start = (plan.home if q0 is None else q0[None]).copy()
     before = start if q0 is not None else np.empty((0, plan.robot.n))
-    minima = search_solutions(plan, T[:1], kinds, start, *MINIMA[:2]).q
+    minima = search_solutions(plan, T[:1], kinds, start, MINIMA.starts, MINIMA.followed).q
     followed = [_follow(plan, T, kinds, q) for q in (minima if len(minima) else start)]
     Q, good = min(followed, key=lambda one: _worth(plan, T, kinds, before, *one))
     nearest = T.copy()
