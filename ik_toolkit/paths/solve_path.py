@@ -9,7 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..compile.jit import compile_time
-from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, whole
 from ..kernel.checks import RIGID
 from ..motion.reference import Reference
 from ..robot.constraints import first_open
@@ -19,18 +19,17 @@ from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
 from ..solvers.batch.targets import blocks, doubt_far, known, mended, with_free_turns
 from ..solvers.collision_free import collision_model
-from ..solvers.options import Options, PathOptions, avoided
+from ..solvers.options import PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, HalfTurns, Problem, all_reached, nearest_poses
+from .path_problem import STEP, HalfTurns, Problem, all_reached, between, nearest_poses, pair
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
-TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
 # Largest number of further searches that reverse rotations of 180 degrees where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
@@ -102,7 +101,7 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
     T, kinds = _read(robot, poses)
-    step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
+    step, tolerance = pair("max_step", max_step, STEP), between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
     wanted, places, met = None, None, None
@@ -215,29 +214,6 @@ def _allowed(value: str | int) -> float:
     if isinstance(value, str) and value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
     return whole(value, "reconfigurations must be 'fewest' or 'none', or", 0)
-
-
-def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
-    """Return the two positive numbers of the option `name`; a single number is used for both. Raises InvalidOption."""
-    if value is None:
-        return default
-    pair = floats(value, f"{name} must be one number, or two", InvalidOption)
-    if pair.shape not in ((), (2,)) or not (np.isfinite(pair) & (pair > 0)).all():
-        raise InvalidOption(f"{name} must be one number, or two, above 0, not {value!r}")
-    first, second = np.broadcast_to(pair, (2,)).tolist()
-    return first, second
-
-
-def _between(value: Any, options: Options) -> tuple[float, float]:
-    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if it is not above the poses' own tolerance."""
-    at = (options.position_tolerance, options.orientation_tolerance)
-    pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
-    for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        if not pair[k] > at[k]:
-            raise InvalidOption(
-                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, the tolerance at the poses; not {pair[k]:g}"
-            )
-    return pair
 
 
 def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
