@@ -312,7 +312,7 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")
     if path.status == PathStatus.COLLISION:
         touching = path.continuity.contacts[:1]
-        where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
+        where = f" ({' and '.join(touching[0].pair)} touch at pose {round(touching[0].place, 3):g})" if touching else ""
         return f"{how_many(N, 'pose')} followed, but only in collision{where}; move the poses or the obstacle"
     places = len(path.continuity.unproven)
     close = f"; at {how_many(places, 'place')} shapes are too close to rule out contact" if places else ""

@@ -72,7 +72,7 @@ def retime(
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
-    message = missing or f"all {count} poses are passed in {total:.4g} s"
+    message = missing or f"all {count} poses are passed in {duration(total, 4)}"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
     if (np.array([deviation, turn]) > allowed.max(axis=1)).any():
@@ -235,7 +235,7 @@ def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple
     if fastest < KEPT * asked:
         return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
     where = " on the path" if any(np.isnan(piece.at).any() for piece in pieces) else ""
-    ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
+    ranges = [f"{round(a, 3):g} to {round(b, 3):g}" for a, b in found]
     return tuple(found), f"; the tip keeps {asked:.4g} m/s{where}" + (
         f" except from pose {_listed(ranges)}" if found else ""
     )

@@ -1,6 +1,7 @@
 """Poses are samples of a motion: how many of them describe it changes neither its time nor its smoothness much."""
 
 import itertools
+import re
 
 import motions
 import numpy as np
@@ -134,6 +135,14 @@ def test_a_pose_that_repeats_is_no_stop(at):
     assert repeated.place[-1] == 25.0 and "all 26 poses" in repeated.message
     # No sample lies between the two equal poses.
     np.testing.assert_allclose(repeated.place[1:-1], plain.place[1:-1] + (plain.place[1:-1] > at), atol=1e-5)
+
+
+def test_a_place_beyond_ten_thousand_poses_is_told_exactly():
+    robot = motions.load("planar_2r")
+    q = np.repeat(motions.wave(robot, 20), [1] * 10 + [12_331] + [1] * 9, axis=0)  # the robot stands still at one pose
+    made = motions.as_result(robot, q).retime(1.0, 1.0, tip_speed=0.05)
+    assert made.slower[-1][1] == 12_349.0
+    assert re.search(r" (1234\d(\.\d)?) to 12349$", made.message), made.message
 
 
 def test_a_tolerance_is_kept_that_is_less_than_the_path_keeps_itself():
