@@ -307,9 +307,9 @@ def _against(made: PathResult, wanted: np.ndarray | None, notice: str = "") -> P
     errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)
     if np.isnan(errors).all():
         return made
-    worst = np.nanmax(errors, axis=0)
-    words = (
-        f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
-    )
+    worst, o = np.nanmax(errors, axis=0), made.options
+    if (worst > (o.position_tolerance, o.orientation_tolerance)).any():
+        off = f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
+        made = replace(made, message=f"{made.message}; {off}")
     orientation = None if made.orientation_error is None else errors[:, 1]
-    return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
+    return replace(made, position_error=errors[:, 0], orientation_error=orientation)
