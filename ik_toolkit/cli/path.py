@@ -203,6 +203,7 @@ def _show(result: Any, made: Any) -> None:
     slides = "prismatic" in result.robot.joint_kinds
     clearance, kept = result.clearance, None if made is None else made.clearance
     safe = "" if kept is None else f", clearance at least {length(kept)}"
+    leaves = "" if made is None else f", off by {length(made.deviation[0])} and {angle(made.deviation[1])} at most"
     bound = result.lower_bound
     changes = "none" if not result.reconfigurations else str(len(result.reconfigurations))
     if result.reconfigurations and bound is not None:
@@ -215,7 +216,7 @@ def _show(result: Any, made: Any) -> None:
         "largest step": angle(step) + (f" and {length(glide)}" if slides else ""),
         "between poses": f"off by {length(off)} and {angle(tilt)} at most (a bound)",
         "clearance": None if clearance is None else f"at least {length(clearance)} on the path",
-        "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples{safe}",
+        "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples{leaves}{safe}",
         "computed in": duration(result.elapsed),
     })  # fmt: skip
     if result.reconfigurations:

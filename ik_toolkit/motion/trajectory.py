@@ -24,7 +24,8 @@ DIFFERENCE = 1e-5
 class Piece(NamedTuple):
     """A piece of a trajectory: a curve q(s) of the joints, and its time law from rest to rest."""
 
-    knots: np.ndarray  # (M,) values of the path coordinate s; q(s) is a cubic polynomial between two of them
+    # (M,) values of the path coordinate s; q(s) is a cubic polynomial between two of them; two are equal where a pose repeats
+    knots: np.ndarray
     coefficients: np.ndarray  # (4, M-1, n) coefficients of the cubic polynomials in s - knot, highest power first
     s: np.ndarray  # (G,) values of s at the grid points of the time law
     speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points of the time law; linear in time between them
@@ -42,7 +43,8 @@ class Piece(NamedTuple):
 
     def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return joint values q (N, n) [rad or m] and their derivatives dq/ds and d2q/ds2 (N, n), at s (N,)."""
-        k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
+        last = np.searchsorted(self.knots, self.knots[-1]) - 1
+        k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
         x = (s - self.knots[k])[:, None]
         a, b, c, d = self.coefficients[:, k]
         return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b

@@ -41,12 +41,12 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
     """
     p = search.problem
     way, at = lengths(p.poses, p.kinds), p.at
-    contacts = [one.place for one in motion.continuity.contacts]
-    runs = pieces(motion.curve, motion.at, [*motion.found.breaks, *(int(place) for place in contacts)])
-    first = runs[0] if runs and runs[0].start == 0 else None
-    if first is not None and first.stop == len(motion.curve):
+    touched = min((one.place for one in motion.continuity.contacts), default=np.inf)
+    runs = pieces(motion.curve, motion.at, motion.found.breaks)
+    rows = int((motion.at[runs[0]] < touched).sum()) if runs and runs[0].start == 0 else 0
+    if rows == len(motion.curve):
         return 1.0
-    reached = 0.0 if first is None else float(np.interp(motion.at[first.stop - 1], at, way))
+    reached = float(np.interp(motion.at[rows - 1], at, way)) if rows else 0.0
     if p.follower is p.single and freedom(p.single, p.kinds).lacks:
         return reached  # The arm cannot reach interpolated poses, so it is not followed beyond a pose that it reaches.
 
@@ -69,8 +69,8 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
         return done
 
     found = [reached]
-    if first is not None:
-        found.append(follow(motion.curve[first.stop - 1], reached))
+    if rows:
+        found.append(follow(motion.curve[rows - 1], reached))
     if not search.fixed[0]:
         found += [follow(q * p.unit, 0.0) for q in search.tracks.at(0)[:STARTS]]
     return max(found)

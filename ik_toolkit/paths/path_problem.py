@@ -4,12 +4,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import InvalidOption, floats
 from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
 from ..kernel.records import AT, SIZE
 from ..motion.reference import exp
 from ..solvers.batch.parts import lanes_of
 from ..solvers.enumerate import ONE_ATTEMPT, search_solutions
+from ..solvers.options import Options
 from ..solvers.outcome import SPOKEN
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
@@ -20,6 +22,7 @@ from .freedom import freedom
 # Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
 # The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
+TOLERANCE = (1e-3, np.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
 # An arm with too few joints cannot follow interpolated poses, so the search must not bound steps and deviations: the bounds are
 # larger than any motion. ANY_STEP: joint step [rad], [m]; ANY_DEVIATION: deviation of a tip [m], [rad].
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
@@ -270,3 +273,26 @@ class HalfTurns:
             # The chosen rotation is shorter than pi by 1e-10 rad, well above rounding (1e-16).
             T[k + 1, f, :3, :3] = exp((np.pi - 1e-10) * self.axes[p : p + 1])[0] @ T[k, f, :3, :3]
         return T
+
+
+def pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
+    """Return the two positive numbers of the option `name`; a single number is used for both. Raises InvalidOption."""
+    if value is None:
+        return default
+    given = floats(value, f"{name} must be one number, or two", InvalidOption)
+    if given.shape not in ((), (2,)) or not (np.isfinite(given) & (given > 0)).all():
+        raise InvalidOption(f"{name} must be one number, or two, above 0, not {value!r}")
+    first, second = np.broadcast_to(given, (2,)).tolist()
+    return first, second
+
+
+def between(value: Any, options: Options) -> tuple[float, float]:
+    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if it is not above the poses' own tolerance."""
+    at = (options.position_tolerance, options.orientation_tolerance)
+    found = pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
+    for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
+        if not found[k] > at[k]:
+            raise InvalidOption(
+                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, the tolerance at the poses; not {found[k]:g}"
+            )
+    return found

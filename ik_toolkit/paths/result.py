@@ -221,7 +221,8 @@ class PathResult:
             acceleration: largest joint accelerations [rad/s^2 or m/s^2], likewise; must be given.
             rate: samples per second.
             seed: number that fixes the random search for a free motion from one branch to another.
-            path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the
+            path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses, above the poses' own
+                tolerance; the message says where straight pieces of the path itself leave them further. Default: the
                 path_tolerance given to `solve_path`. If none was given, it is the larger of the default of `solve_path`
                 and 1.25 times the chord's sagitta, which is how far an arc through the poses leaves the chord.
             tip_speed: speed [m/s] of the fastest tip, kept on the path wherever the limits allow (see `Trajectory.slower`), and
@@ -231,7 +232,7 @@ class PathResult:
             The sampled motion.
 
         Raises:
-            InvalidOption: limits are missing or not positive.
+            InvalidOption: limits are missing or not positive, or path_tolerance is not above the poses' own tolerance.
             NotSolved: the path was not followed.
             MissingExtra: SciPy is not installed.
         """
@@ -311,7 +312,7 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")
     if path.status == PathStatus.COLLISION:
         touching = path.continuity.contacts[:1]
-        where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
+        where = f" ({' and '.join(touching[0].pair)} touch at pose {round(touching[0].place, 3):g})" if touching else ""
         return f"{how_many(N, 'pose')} followed, but only in collision{where}; move the poses or the obstacle"
     places = len(path.continuity.unproven)
     close = f"; at {how_many(places, 'place')} shapes are too close to rule out contact" if places else ""

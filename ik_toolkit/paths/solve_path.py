@@ -9,7 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..compile.jit import compile_time
-from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, whole
 from ..kernel.checks import RIGID
 from ..motion.reference import Reference
 from ..robot.constraints import first_open
@@ -26,11 +26,10 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, HalfTurns, Problem, all_reached, nearest_poses, next_to
+from .path_problem import STEP, HalfTurns, Problem, all_reached, between, nearest_poses, next_to, pair
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
-TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
 # Largest number of further searches that reverse rotations of 180 degrees where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
@@ -102,7 +101,7 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
     T, kinds = _read(robot, poses)
-    step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
+    step, tolerance = pair("max_step", max_step, STEP), between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
     wanted, places, met, follower = None, None, None, None
@@ -221,29 +220,6 @@ def _allowed(value: str | int) -> float:
     return whole(value, "reconfigurations must be 'fewest' or 'none', or", 0)
 
 
-def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
-    """Return the two positive numbers of the option `name`; a single number is used for both. Raises InvalidOption."""
-    if value is None:
-        return default
-    pair = floats(value, f"{name} must be one number, or two", InvalidOption)
-    if pair.shape not in ((), (2,)) or not (np.isfinite(pair) & (pair > 0)).all():
-        raise InvalidOption(f"{name} must be one number, or two, above 0, not {value!r}")
-    first, second = np.broadcast_to(pair, (2,)).tolist()
-    return first, second
-
-
-def _between(value: Any, options: Options) -> tuple[float, float]:
-    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if it is not above the poses' own tolerance."""
-    at = (options.position_tolerance, options.orientation_tolerance)
-    pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
-    for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        if not pair[k] > at[k]:
-            raise InvalidOption(
-                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, the tolerance at the poses; not {pair[k]:g}"
-            )
-    return pair
-
-
 def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
     """Read the caller's poses; return them as (N, 4, 4), or (N, F, 4, 4) for a Tree, with their kind for each tip.
 
@@ -335,9 +311,9 @@ def _against(made: PathResult, wanted: tuple[np.ndarray, Options] | None, notice
     errors = errors_at_rows(made.robot, made.q, wanted[0], made.kinds, wanted[1])
     if np.isnan(errors).all():
         return made
-    worst = np.nanmax(errors, axis=0)
-    words = (
-        f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
-    )
+    worst, o = np.nanmax(errors, axis=0), wanted[1]
+    if (worst > (o.position_tolerance, o.orientation_tolerance)).any():
+        off = f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
+        made = replace(made, message=f"{made.message}; {off}")
     orientation = None if made.orientation_error is None else errors[:, 1]
-    return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
+    return replace(made, position_error=errors[:, 0], orientation_error=orientation)

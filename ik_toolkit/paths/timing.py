@@ -13,9 +13,10 @@ from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
-from ..text import duration, figure
+from ..text import angle, duration, figure, length
 from ..validate import positive
 from .contact import clearance_along, connect
+from .path_problem import between
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
@@ -44,7 +45,7 @@ def retime(
     plan = Plan(robot, row, row.load()(), result.options)
     made: list[Piece] = []
     missing, stops = "", []
-    runs, places, count, result = result.pieces, result.at, len(result.q), _without_repeats(result)
+    runs, places, count, (result, order) = result.pieces, result.at, len(result.q), _without_repeats(result)
     allowed, deviation, turn, clearance = _allowed(result, path_tolerance), 0.0, 0.0, math.inf
     for k, run in enumerate(runs):
         if k:
@@ -64,16 +65,19 @@ def retime(
                 else (found.deviation, found.turn, found.clearance)
             )
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
-            made.append(piece._replace(at=np.interp(piece.at, result.at[run], places[run])))
+            made.append(_with_repeats(piece, order))
     if not made:  # A path of a single pose has no motion.
         made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
         clearance = clearance_along(result.collision, result.curve[:1])
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
-    message = missing or f"all {count} poses are passed in {total:.4g} s"
+    message = missing or f"all {count} poses are passed in {duration(total, 4)}"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
+    if (np.array([deviation, turn]) > allowed.max(axis=1)).any():
+        off = f"{length(deviation)} and {angle(turn)}"
+        message += f"; between the stops it leaves the chords by up to {off}: give path_tolerance to solve_path"
     safe = None if result.collision is None else clearance
     return Trajectory(
         robot, t, *sample(pieces, t), not missing, message + kept, *limits, (deviation, turn), safe, pieces, result.collision,
@@ -126,18 +130,33 @@ def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.nda
     return pieces, np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
 
 
-def _without_repeats(result: Any) -> Any:
+def _without_repeats(result: Any) -> tuple[Any, np.ndarray]:
     """Return a PathResult without the poses that repeat the pose before, at which the joints stand still.
 
     Only `targets` (N, F, 4, 4), `q` (N, n) and `at` (M,) change: a spline over the poses needs a distance between any two of them.
+    Also returns the place (N,) of each former pose on the new path.
     """
     T, q = result.targets, result.q
     still = (np.abs(np.diff(T, axis=0)).max(axis=(1, 2, 3)) <= LEAST) & (
         np.abs(np.diff(q, axis=0)).max(axis=1) <= LEAST
     )
     kept = np.append(True, ~still)
-    at = np.interp(result.at, np.arange(len(T)), np.cumsum(kept) - 1.0)
-    return replace(result, targets=T[kept], q=q[kept], at=at)
+    order = np.cumsum(kept) - 1.0
+    return replace(result, targets=T[kept], q=q[kept], at=np.interp(result.at, np.arange(len(T)), order)), order
+
+
+def _with_repeats(piece: Piece, order: np.ndarray) -> Piece:
+    """Return a piece with `at` on the path before `_without_repeats`; where a pose repeats, two knots are equal."""
+    poses = np.arange(float(len(order)))
+    before = poses[-1] - np.interp(order[-1] - piece.at, order[-1] - order[::-1], poses)
+    after = np.interp(piece.at, order, poses)
+    twice = np.flatnonzero((after - before > 0.5) & (np.diff(piece.at, append=np.inf) > 0.0))
+    cubics = piece.coefficients[:, np.minimum(twice, len(piece.knots) - 2)]
+    return piece._replace(
+        knots=np.insert(piece.knots, twice + 1, piece.knots[twice]),
+        coefficients=np.insert(piece.coefficients, twice, cubics, axis=1),
+        at=np.insert(before, twice + 1, after[twice]),
+    )
 
 
 def _listed(places: list[Any]) -> str:
@@ -153,16 +172,12 @@ def _allowed(result: Any, path_tolerance: Any) -> np.ndarray:
 
     path_tolerance: (m, rad) for all chords, or None for the default of `PathResult.retime`. Raises InvalidOption.
     """
-    count = max(len(result.targets) - 1, 1)
-    if path_tolerance is None and result.tolerance_given:
-        path_tolerance = result.path_tolerance
-    if path_tolerance is not None:
-        pair = floats(path_tolerance, "path_tolerance must be two numbers (m, rad)", InvalidOption)
-        if pair.shape != (2,) or not (pair > 0.0).all():
-            raise InvalidOption(f"path_tolerance must be two positive numbers (m, rad), not {path_tolerance!r:.60}")
-        return np.maximum(np.tile(pair[:, None], count), np.array(result.deviation)[:, None])
-    least = np.maximum(result.path_tolerance, result.deviation)
-    return np.maximum(np.tile(least[:, None], count), sagittas(result.targets, result.kinds) if count > 1 else 0.0)
+    pair = result.path_tolerance if path_tolerance is None else between(path_tolerance, result.options)
+    lacking = np.nanmax(result.continuity.lacking, axis=1, initial=0.0)
+    allowed = np.tile((pair + lacking)[:, None], max(len(result.targets) - 1, 1))
+    if path_tolerance is not None or result.tolerance_given or len(result.targets) < 2:
+        return allowed
+    return np.maximum(allowed, sagittas(result.targets, result.kinds))
 
 
 def _pieces(
@@ -183,12 +198,11 @@ def _pieces(
         return [(found, _fastest(curve, plan.robot, limits, tip_speed), run)]
     places = np.flatnonzero(corners(result.targets, result.kinds))
     cuts = [int(k) for k in np.searchsorted(result.at, places) if run.start < k < run.stop - 1]
-    if cuts:
-        bounds = [run.start, *cuts, run.stop - 1]
-        parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
-        return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
-    rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
-    return [(None, _line(plan.robot, result.curve[two], result.at[two], limits, tip_speed), two) for two in rows]
+    if run.stop - run.start == 2:
+        return [(None, _line(plan.robot, result.curve[run], result.at[run], limits, tip_speed), run)]
+    bounds = [run.start, *(cuts or [(run.start + run.stop - 1) // 2]), run.stop - 1]
+    parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
+    return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -221,7 +235,7 @@ def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple
     if fastest < KEPT * asked:
         return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
     where = " on the path" if any(np.isnan(piece.at).any() for piece in pieces) else ""
-    ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
+    ranges = [f"{round(a, 3):g} to {round(b, 3):g}" for a, b in found]
     return tuple(found), f"; the tip keeps {asked:.4g} m/s{where}" + (
         f" except from pose {_listed(ranges)}" if found else ""
     )

@@ -91,6 +91,8 @@ def read_poses(
         raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
         if path.suffix.lower() in (".npz", ".json"):
+            if given.euler is not None:
+                raise InvalidTarget(f"'{path.name}': no angles are read from it, so --euler has no effect")
             if tips:
                 poses = read_tip_arrays(path, tips, base)
                 made = {tip: _scaled(array, scale) for tip, array in poses.items()}
@@ -223,12 +225,11 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
             f"'{file}' has the columns {', '.join(turned)}: say with --euler about which axes the angles turn, such as zyx (URDF's "
             f"roll, pitch, yaw are {','.join(kinds[1])})"
         )
-    if not turned:
-        others = [name.removeprefix(prefix) for name in header if name.startswith(prefix) and name not in needed]
-        unread = rotation_columns([name for name in others if "." not in name])
-        if unread or given.euler is not None:
-            said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
-            raise InvalidTarget(f"'{file}': {said}; the first line must be {forms}")
+    others = [name.removeprefix(prefix) for name in header if name.startswith(prefix) and name not in needed]
+    unread = [] if turned else rotation_columns([name for name in others if "." not in name])
+    if unread or (given.euler is not None and turned in ((), kinds[0])):
+        said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
+        raise InvalidTarget(f"'{file}': {said}; the first line must be {forms}")
     order = given.euler or "zyx"
     if turned in kinds[1:3]:
         if len({*order}) < 3:

@@ -116,7 +116,7 @@ def test_a_path_that_only_collides_says_what_touches_and_where():
     assert made.status == PathStatus.COLLISION and not made.success and made.clearance == 0.0
     touch = made.continuity.contacts[0]
     assert set(touch.pair) == {"l3", "post"} and 1.0 < touch.place < 2.5
-    where = f"{' and '.join(touch.pair)} touch at pose {touch.place:.4g}"
+    where = f"{' and '.join(touch.pair)} touch at pose {round(touch.place, 3):g}"
     assert made.message == f"5 poses followed, but only in collision ({where}); move the poses or the obstacle"
 
 

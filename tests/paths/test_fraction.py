@@ -66,3 +66,16 @@ def test_with_a_priority_a_path_goes_at_least_as_far(name):
         assert path.status == PathStatus.INCOMPLETE
         first.append(path.fraction)
     assert np.ptp(first) < EXACT and min(first) > whole + EXACT
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
+def test_a_motion_ends_at_the_first_contact_even_between_the_poses(share):
+    """One branch, a short way to the second of three poses; an obstacle is touched at a share of it, and at both poses after it."""
+    arm = robots.load("planar_2r").narrowed({"joint_2": (0.0, None)})
+    begin = arm.fk(np.array([0.3, 1.0])).translation
+    way = arm.fk(np.array([0.31, 1.0])).translation - begin
+    q = ik.solve(arm, begin + share * way, q0=[0.3, 1.0]).q
+    near = ik.CollisionModel(arm).add_sphere(0.01, begin + 30.0 * way).distance(q).distance
+    world = ik.CollisionModel(arm).add_sphere(0.01 + near, begin + 30.0 * way)
+    path = ik.solve_path(arm, begin + np.outer([0.0, 1.0, 2.0], way), avoid_collisions=world)
+    assert path.status == PathStatus.COLLISION and abs(path.fraction - 0.5 * share) < EXACT

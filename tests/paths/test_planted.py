@@ -11,10 +11,9 @@ import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.motion.reference import interpolate_poses
 from ik_toolkit.paths.exact_branches import every_solution
-from ik_toolkit.paths.path_problem import STEP, Problem
+from ik_toolkit.paths.path_problem import STEP, TOLERANCE, Problem
 from ik_toolkit.paths.path_search import Search
 from ik_toolkit.paths.result import PathStatus
-from ik_toolkit.paths.solve_path import TOLERANCE
 
 
 def motion(robot, rng, count):

@@ -1,6 +1,7 @@
 """Poses are samples of a motion: how many of them describe it changes neither its time nor its smoothness much."""
 
 import itertools
+import re
 
 import motions
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
+from ik_toolkit.paths import timing
 from ik_toolkit.paths.smooth_curve import corners, sagittas
 
 pytest.importorskip("toppra")
@@ -131,6 +133,35 @@ def test_a_pose_that_repeats_is_no_stop(at):
     )
     assert repeated.stops == () and abs(repeated.duration / plain.duration - 1.0) < 1e-6
     assert repeated.place[-1] == 25.0 and "all 26 poses" in repeated.message
+    # No sample lies between the two equal poses.
+    np.testing.assert_allclose(repeated.place[1:-1], plain.place[1:-1] + (plain.place[1:-1] > at), atol=1e-5)
+
+
+def test_a_place_beyond_ten_thousand_poses_is_told_exactly():
+    robot = motions.load("planar_2r")
+    q = np.repeat(motions.wave(robot, 20), [1] * 10 + [12_331] + [1] * 9, axis=0)  # the robot stands still at one pose
+    made = motions.as_result(robot, q).retime(1.0, 1.0, tip_speed=0.05)
+    assert made.slower[-1][1] == 12_349.0
+    assert re.search(r" (1234\d(\.\d)?) to 12349$", made.message), made.message
+
+
+def test_a_tolerance_is_kept_that_is_less_than_the_path_keeps_itself():
+    robot = motions.load("hydrolek_7w")
+    path = ik.solve_path(robot, poses(robot, circle, 12), q0=robot.home)
+    assert path.deviation[0] > 2e-5
+    made = path.retime(acceleration=1.0, path_tolerance=(2e-5, 1e-3))
+    assert made.deviation[0] <= 2e-5 and not made.stops and "chords" not in made.message
+    with pytest.raises(InvalidOption, match="path_tolerance must be above position_tolerance, 1e-06 m"):
+        path.retime(acceleration=1.0, path_tolerance=(1e-6, 1e-3))
+
+
+def test_one_place_without_a_smooth_curve_costs_few_stops(monkeypatch):
+    robot, smooth = motions.load("hydrolek_7w"), timing.smooth_curve
+    path = ik.solve_path(robot, poses(robot, circle, 33), q0=robot.home)
+    bad = 2 * len(path.curve) // 3
+    monkeypatch.setattr(timing, "smooth_curve", lambda *a: None if a[3].start <= bad < a[3].stop - 1 else smooth(*a))
+    made = path.retime(acceleration=1.0)
+    assert 2 <= len(made.stops) <= 2 * np.log2(len(path.curve)) and "stops at pose" in made.message
 
 
 @pytest.mark.parametrize("seed", [103, 106])
@@ -177,7 +208,7 @@ def test_mistakes_are_named():
     path = ik.solve_path(robot, [robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
     for options, said in (
         (dict(tip_speed=0.0), "tip_speed"),
-        (dict(path_tolerance=1.0), "path_tolerance"),
+        (dict(path_tolerance=1e-9), "path_tolerance"),
         (dict(path_tolerance=(1.0, -1.0)), "path_tolerance"),
     ):
         with pytest.raises(InvalidOption, match=said):

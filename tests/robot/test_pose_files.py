@@ -13,7 +13,7 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidConfiguration, InvalidTarget
 from ik_toolkit.files import inert, without_mark, write_table
-from ik_toolkit.robot.pose_files import read_poses
+from ik_toolkit.robot.pose_files import Convention, read_poses
 from ik_toolkit.show.animation import read_motion
 
 
@@ -52,6 +52,16 @@ REFUSED = {
 def test_rows_that_do_not_fit_their_header_are_refused_with_their_line(tmp_path, text):
     with pytest.raises(InvalidTarget, match=REFUSED[text]):
         poses_of(tmp_path, text)
+
+
+def test_euler_axes_are_refused_where_no_angles_are_read(tmp_path):
+    (tmp_path / "q.csv").write_text("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n")
+    np.savez(tmp_path / "T.npz", targets=np.eye(4)[None])
+    (tmp_path / "T.json").write_text(json.dumps({"targets": [np.eye(4).tolist()]}))
+    for name in ("q.csv", "T.npz", "T.json"):
+        assert len(list(read_poses(tmp_path / name, "targets")[1])) == 1
+        with pytest.raises(InvalidTarget, match="--euler"):
+            read_poses(tmp_path / name, "targets", given=Convention(euler="zyx"))
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,8 @@ from ...kernel.counted_error import KIND
 from ...motion.trajectory import Trajectory
 from ...paths.continuity import check, densify
 from ...paths.freedom import errors_at_rows
-from ...paths.path_problem import STEP
+from ...paths.path_problem import STEP, TOLERANCE
 from ...paths.result import PathResult, PathStatus
-from ...paths.solve_path import TOLERANCE
 from ...robot.geometry.collision import CollisionModel
 from ...robot.pose import check_target
 from ...robot.robot import Robot
