@@ -137,7 +137,7 @@ def test_joints_that_mimic_nothing_they_can_follow():
     assert {loose["one"], loose["two"]} <= {"mimics itself through 'two'", "mimics itself through 'one'"}
     assert loose["after"] == f"mimics joint 'one', which {loose['one']}"
     assert loose["lost"] == "mimics joint 'nobody', which does not exist"
-    assert loose["stiff"] == "mimics joint 'fixed', which does not move"
+    assert loose["stiff"] == "mimics joint 'fixed', which is fixed"
     assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]
 
 
