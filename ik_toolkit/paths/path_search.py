@@ -394,6 +394,8 @@ class Search:
             elif beyond > 0.0:
                 reason, proven = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)", True
             elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
-                reason, proven = "every solution violates a joint limit, or none exists", True
+                exist = np.isfinite(self.listing[0][t]).any()
+                reason = "every solution violates a joint limit" if exist else "no joint values reach it, limits or not"
+                proven = True
             said.append(Unreachable(int(place), reason, proven))
         return said
