@@ -191,19 +191,16 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
 
 
-def srdf_of(
-    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, State], group: str | None = None
-) -> Srdf:
+def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: str | None = None) -> Srdf:
     """Return the Srdf that belongs to a model read from `path`.
 
     It is the given one; if that is None, the one next to the file, if any (see `srdf_beside`); if it is False, an empty
-    one. `states` are the named configurations of the description itself, which those of the SRDF override. `group` is
-    the chosen one.
+    one. `own` has the configurations and pairs of the description itself; the SRDF's override them. `group` is the chosen
+    one.
     """
     found = _srdf_of(given, model, path)
-    return replace(
-        found, states={**{name: {"": one} for name, one in states.items()}, **found.states}, group=group or ""
-    )
+    states, pairs = {**own.states, **found.states}, {**own.disabled, **found.disabled}
+    return replace(found, states=states, disabled=pairs, group=group or "")
 
 
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
