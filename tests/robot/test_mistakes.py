@@ -7,7 +7,14 @@ import robots
 from robots import joint
 
 import ik_toolkit as ik
-from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+from ik_toolkit.errors import (
+    ConfigurationNotFound,
+    InvalidConfiguration,
+    InvalidOption,
+    InvalidTarget,
+    ModelError,
+    ReadOnlyAttribute,
+)
 from ik_toolkit.robot.formats.mimic import followers
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.pose import AxisTarget
@@ -44,6 +51,8 @@ def test_models(arm):
 def test_configurations(arm):
     with pytest.raises(ConfigurationNotFound, match="the robot has no configuration named 'up'"):
         arm.named["up"]
+    with pytest.raises(ReadOnlyAttribute, match="keep q yourself"):
+        arm.named["up"] = arm.home
     with pytest.raises(
         InvalidConfiguration, match=rf"must have {arm.model.nq} values for this model, not shape \(2,\)"
     ):

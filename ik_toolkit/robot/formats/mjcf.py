@@ -135,7 +135,12 @@ class _Writer:
         return states
 
     def _doubtful(self, joints: Sequence[str]) -> None:
-        """Add notes on the joint ranges that MuJoCo ignores because their ends are reversed or equal."""
+        """Add notes on ranges that MuJoCo ignores because their ends are reversed or equal, and on radians read as degrees."""
+        hinges = [joint["range"] for joint in self.model["joints"] if joint["type"] == "hinge" and joint["range"]]
+        if len(hinges) > 1 and np.abs(hinges).max() <= math.radians(2.0 * math.pi):
+            self.notes.append(
+                'no hinge may turn further than 6.28 degrees: were radians meant? Then write <compiler angle="radian"/>'
+            )
         for name, joint in zip(joints, self.model["joints"], strict=True):
             low, high = joint["given"]
             if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):
