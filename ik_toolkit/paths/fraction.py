@@ -9,6 +9,7 @@ from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .finish import ProvenMotion
 from .freedom import freedom
+from .path_problem import STEP
 from .path_search import Search
 from .result import pieces
 
@@ -47,8 +48,12 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
     if rows == len(motion.curve):
         return 1.0
     reached = float(np.interp(motion.at[rows - 1], at, way)) if rows else 0.0
-    if p.follower is p.single and freedom(p.single, p.kinds).lacks:
-        return reached  # The arm cannot reach interpolated poses, so it is not followed beyond a pose that it reaches.
+    # A path of an arm with too few joints may leave the poses between, and has no largest step.
+    most = (
+        np.minimum(p.most, np.where(p.robot.slides, STEP[1], STEP[0]) / p.unit)
+        if freedom(p.single, p.kinds).lacks
+        else p.most
+    )
 
     def follow(q: np.ndarray, begin: float) -> float:
         """Return the share of the path's length reached from q (n,) [rad or m], a solution at the share `begin`."""
@@ -57,7 +62,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
             row = p.follower.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
             new = row[SIZE.answer : SIZE.answer + p.robot.n].copy()
-            near = (np.abs(new - q) <= p.most * p.unit).all()
+            near = (np.abs(new - q) <= most * p.unit).all()
             free = search.collides is None or not search.collides(new)
             return new if row[AT.status] == CODE.converged and near and free else None
 

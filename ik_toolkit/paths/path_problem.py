@@ -61,7 +61,7 @@ class Problem:
     ) -> None:
         """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m], `at` and `follower` as for the class."""
         robot, plan = solver.robot, solver.plan_for(kinds)
-        self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
+        self.solver, self.robot, self.plan, self.T, self.kinds = solver, robot, plan, T, kinds
         self.poses = T.reshape(len(T), -1, 4, 4)
         self.at = np.arange(float(len(T))) if at is None else at
         self.deviation = np.array(deviation)

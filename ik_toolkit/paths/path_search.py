@@ -357,7 +357,6 @@ class Search:
         return there
 
     # ---------------------------------------------------------------------------------------------------------- verdicts
-
     def worth(self) -> int:
         """Return the cost of the best path: its reconfigurations, plus CONTACT for each pose in contact; 0 is best."""
         return self.found.contacts * CONTACT + len(self.found.breaks)
@@ -394,6 +393,7 @@ class Search:
             elif beyond > 0.0:
                 reason, proven = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)", True
             elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
-                reason, proven = "every solution violates a joint limit, or none exists", True
+                none, proven = np.isnan(self.listing[0][t]).all(), True
+                reason = "no joint values reach it, limits or not" if none else "every solution violates a joint limit"
             said.append(Unreachable(int(place), reason, proven))
         return said

@@ -283,10 +283,11 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
 
 
-def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
+def path_sentence(path: PathResult, needed: int, allowed: float, cause: str = "") -> str:
     """Return the sentence that says how a path search ended and, if it failed, what to try.
 
-    needed: number of reconfigurations of the best path found through all poses; allowed: the largest number allowed.
+    needed: number of reconfigurations of the best path found through all poses; allowed: the largest number allowed; cause: why the
+    first pose that is not reached cannot be, and what to try, or ''.
     """
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:
@@ -299,7 +300,9 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
-            advice = "move the poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
+            advice = (
+                cause or "move the poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
+            )
             if all(one.reason.startswith("beyond reach") for one in path.unreachable):
                 advice = "move the poses inside the reach"
             met = f"{len(reached)} of {how_many(N, 'pose')} reached"

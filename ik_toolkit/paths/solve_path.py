@@ -11,6 +11,7 @@ import numpy as np
 from ..compile.jit import compile_time
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, whole
 from ..kernel.checks import RIGID
+from ..kernel.counted_error import KIND
 from ..motion.reference import Reference
 from ..robot.constraints import first_open
 from ..robot.pose import LAST
@@ -19,6 +20,7 @@ from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
 from ..solvers.batch.targets import blocks, doubt_far, known, mended, with_free_turns
 from ..solvers.collision_free import collision_model
+from ..solvers.message import why_missed
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
@@ -293,13 +295,22 @@ def _result(
         elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
-    result = replace(result, message=path_sentence(result, needed, allowed))
+    cause = _cause(problem, T[missing[0].index]) if missing else ""
+    result = replace(result, message=path_sentence(result, needed, allowed, cause))
     o = problem.single.options
     broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
     if broken is None:
         return result
     message = f"{result.message}; but at pose {broken[0]} {broken[1]}"
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
+
+
+def _cause(problem: Problem, T: np.ndarray) -> str:
+    """Say why a pose T (4, 4) or (F, 4, 4) is not reached, as far as a solve of it alone can tell; or return ''."""
+    robot = problem.robot
+    each = zip(robot.tips, problem.kinds, T.reshape(-1, 4, 4), strict=True)
+    target = {tip: one[:3, 3] if kind == KIND.position else one for tip, kind, one in each if kind != KIND.free}
+    return why_missed(problem.solver(robot.for_tips(target)))
 
 
 def _against(made: PathResult, wanted: tuple[np.ndarray, Options] | None, notice: str = "") -> PathResult:

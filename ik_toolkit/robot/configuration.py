@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
+from ..errors import (
+    ConfigurationNotFound,
+    InvalidConfiguration,
+    InvalidOption,
+    JointNotFound,
+    ReadOnlyAttribute,
+    floats,
+    near_match,
+)
 from .base import joint_value, put_joint, unfold
 from .formats.mimic import Tie, mimic_limits
 from .probe import NO_LIMIT, mimics
@@ -15,13 +23,23 @@ from .ros import read_joint_state
 
 
 class Named(dict[str, np.ndarray]):
-    """A dict of configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
+    """A read-only dict of configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
 
     def __missing__(self, name: str) -> np.ndarray:
         """Raise ConfigurationNotFound, because there is no configuration of this name."""
         raise ConfigurationNotFound(
             f"the robot has no configuration named '{str(name)[:200]}'.{near_match(name, self)}"
         )
+
+    def __setitem__(self, name: str, q: Any) -> None:
+        """Raise ReadOnlyAttribute, because the robot would not keep the configuration."""
+        raise ReadOnlyAttribute(
+            "robot.named cannot be changed; keep q yourself, or name it in a <group_state> of an SRDF"
+        )
+
+    def __reduce__(self) -> tuple:
+        """Pickle the items as an argument, because none can be added later."""
+        return Named, (dict(self),)
 
 
 def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:

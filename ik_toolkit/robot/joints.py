@@ -146,13 +146,13 @@ class Joints(ReadOnly):
 
         If several groups of the SRDF use a name, `Srdf.state` says which counts.
         """
-        found = Named(home=self.home.copy())
+        found = {"home": self.home.copy()}
         for name in self.srdf.states:
             given = self.srdf.state(name, self.joint_names, self.tips, self.model)
             if given:
                 found[name] = self.home.copy()
                 found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
-        return found
+        return Named(found)
 
     @property
     def named_tips(self) -> tuple[str, ...]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import MissingExtra, RobotNotFound, near_match
-from ..text import first_few
+from ..errors import MissingExtra, ModelError, RobotNotFound, near_match
+from ..text import first_few, in_shell
 from .formats.urdf import is_text
 from .packages import MANIFESTS
 
@@ -267,6 +267,8 @@ def find(source: str | Path) -> RobotEntry:
         if source.startswith(MENAGERIE):
             source = _menagerie(source.removeprefix(MENAGERIE))
     path = _file(source) or _only_model(source)
+    if path is not None and path.suffix.lower() == ".toml":
+        raise ModelError(in_shell(f"'{path.name}' is a D-H table; `ik dh {path.name} -o OUT.urdf` makes a URDF of it"))
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
     name = str(source)

@@ -13,7 +13,7 @@ from ..text import figure
 from .base import carried
 from .constraints import Constraint
 from .formats.mjcf import mjcf_to_urdf
-from .formats.srdf import srdf_of
+from .formats.srdf import Srdf, srdf_of
 from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read, source_text
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
@@ -27,7 +27,7 @@ LOG = logging.getLogger("ik_toolkit")
 class Urdf(NamedTuple):
     """The URDF text of a source.
 
-    Relative paths in it start from the folder of `file`. `notes`, `states` and `constraints` come from an MJCF file
+    Relative paths in it start from the folder of `file`. `notes`, `srdf` and `constraints` come from an MJCF file
     (see `mjcf.Read`). `made` tells whether the text was made from xacro or MJCF, so that line numbers are not those of
     the file.
     """
@@ -36,7 +36,7 @@ class Urdf(NamedTuple):
     file: Path | None
     package_dirs: list[Path]
     notes: tuple[str, ...] = ()
-    states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+    srdf: Srdf = Srdf()
     constraints: tuple[Constraint, ...] = ()
     made: bool = False
 
@@ -69,7 +69,7 @@ def urdf_of(
             raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is MJCF") from None
         flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
         return Urdf(
-            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
+            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.srdf, flat.constraints, made=True
         )
     return Urdf(text, entry.path, folders)
 
@@ -85,14 +85,14 @@ def read_source(
     Raises what `Robot.load` raises.
     """
     entry = find(source)
-    text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    text, file, folders, notes, own, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
     model = built_model(text, entry.name)
     name = entry.name if file else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "states": states, "constraints": constraints}
+    return entry, made | {"notes": notes, "own": own, "constraints": constraints}
 
 
 def built_model(text: str, name: str = "the URDF") -> pin.Model:
@@ -113,7 +113,7 @@ def read_both(
     """Read a source as `read_source` does, and its SRDF (see `srdf_of`), which may be named as a xacro file."""
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     given = expanded(srdf, made["package_dirs"], xacro_args)
-    return entry, made | {"srdf": srdf_of(given, made["model"], entry.path, made.pop("states"), group)}
+    return entry, made | {"srdf": srdf_of(given, made["model"], entry.path, made.pop("own"), group)}
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:

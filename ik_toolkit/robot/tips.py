@@ -22,11 +22,12 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
 # OTHERS: these, and words for fingers, legs and other parts on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
-    "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
+    "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box "
+    "collision visual inertia inertial com".split()
 )
 OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
-    "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
+    "foot feet sole ankle leg toe wheel caster mount contact cover shape dummy".split()
 )
 SHOWN = 3  # A message lists this many candidates.
 
@@ -88,12 +89,21 @@ def guess_tip(model: pin.Model) -> Guess:
     most = max((joints[f.name] for f in ends), default=0)
     far = [f for f in ends if 2 * joints[f.name] > most]
     plain = next(
-        (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
+        (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])),
+        [_carrier(model, f) for f in ends],
     )
     most = max((joints[f.name] for f in plain), default=0)
     # Of several frames on one joint only the first is a candidate.
     longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
+
+
+def _carrier(model: pin.Model, frame: pin.Frame) -> pin.Frame:
+    """Return the frame to which a sensor is fixed, or the frame itself if it is no sensor or has a joint of its own."""
+    above = model.frames[model.frames[frame.parentFrame].parentFrame]
+    if above.parentJoint != frame.parentJoint or not other(words(frame.name), SCENE):
+        return frame
+    return _carrier(model, above)
 
 
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:

@@ -128,19 +128,29 @@ def _cause(result: Any) -> str:
         return "were millimetres meant?"
     if result.status not in SHORT:
         return ""
+    if known := why_missed(result):
+        return known
+    if result._of.plan.options.priority is not None or result.restarts == 0:
+        return ""  # a single attempt proves nothing about the arm
+    return "; ".join(filter(None, [position_alone(result, False), _advice(result)]))
+
+
+def why_missed(result: Any) -> str:
+    """Say which limit, or what in the arm's structure, keeps it from the target, and what to try; or return ''."""
+    if result.status not in SHORT:
+        return ""
     # with a priority lower levels may be missed, so few joints are no cause
     ordered = result._of.plan.options.priority is not None
     outside = "" if ordered else _outside(result)
-    # whether limits block the arm was tested, so the cause is known
-    blocked = outside or result.status == Status.LIMIT_BLOCKED
-    never, few = [] if blocked else impossible(result), "" if blocked or ordered else too_few_joints(result)
-    if not never and (ordered or (not few and result.restarts == 0)):
-        return ""  # a single attempt proves nothing about the arm
     if outside:
         return f"{outside}; widen that limit, or move the target"
-    advice = ASK_LESS if never or few else _advice(result)
+    if result.status == Status.LIMIT_BLOCKED:
+        return ""
+    never, few = impossible(result), "" if ordered else too_few_joints(result)
+    if not never and not few:
+        return ""
     alone = "" if ordered else position_alone(result, bool(never))
-    return "; ".join(filter(None, [*never, few, alone, advice]))
+    return "; ".join(filter(None, [*never, few, alone, ASK_LESS]))
 
 
 def _advice(result: Any) -> str:

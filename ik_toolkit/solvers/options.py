@@ -8,7 +8,7 @@ from typing import Any, Literal, TypedDict
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, near_match
+from ..errors import InvalidOption, doubt_angles, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 from ..robot.pose import named_axis
 
@@ -200,6 +200,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, known)}{solvers_with(name, known)}")
         if name in ("position_tolerance", "orientation_tolerance"):
             values[name] = _number(name, value, 1e-14, math.inf)  # rounding hides less
+            if name == "orientation_tolerance" and values[name] >= math.pi:
+                doubt_angles(name, {"": values[name]})
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
             # other packages call the start (q0) a seed

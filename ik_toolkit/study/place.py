@@ -16,7 +16,7 @@ from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, flo
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.batch.targets import known
+from ..solvers.batch.targets import known, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
 from ..solvers.solve import require_robot
@@ -178,7 +178,8 @@ def place(
     Args:
         robot: The Robot whose base is placed; for a robot on a rail (`on_base="rail"`) the rail is placed, along whose x axis it
             moves. For a Tree, each tip reaches its own poses, one at a time, while the other tips are free.
-        poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up; for a Tree a dict of these by tip.
+        poses: Poses (N, 4, 4), positions (N, 3) [m], or a list of AxisTargets, in a frame whose z is up; for a Tree a dict of these
+            by tip.
         where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
         yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
         height: Height of the base [m], a number or (lower, upper).
@@ -203,15 +204,16 @@ def place(
         raise InvalidOption("ordered poses are followed by one tip; choose one: ik.Robot.load(source, tip=)")
     check_progress(progress, "the number of candidates counted")
     count = whole(count, "count")
+    poses, asked = with_free_turns(robot, poses, options)
     W = _poses(robot, poses)
-    if options.get("relative_to"):
+    if asked.get("relative_to"):
         raise InvalidOption("place takes the poses of every tip in the world; omit relative_to")
-    if "restarts" in options:
+    if "restarts" in asked:
         raise InvalidOption("place chooses the number of attempts; omit restarts")
     low, high = _region(robot, W, where, yaw, height)
-    scene = _scene(robot, options.pop("avoid_collisions", False))
+    scene = _scene(robot, asked.pop("avoid_collisions", False))
     study = Candidates(
-        robot, W, (low, high), scene, {**options, "seed": whole(options.get("seed", 0), "seed", 0)}, progress
+        robot, W, (low, high), scene, {**asked, "seed": whole(asked.get("seed", 0), "seed", 0)}, progress
     )
     try:
         study.run()

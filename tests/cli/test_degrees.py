@@ -36,7 +36,7 @@ def test_one_vector_is_doubted_in_one_sentence_however_it_is_called_on_its_way(r
 
 def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
     far = robots.urdf(
-        dict(kind="revolute", limits=(20.5, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
+        dict(kind="revolute", limits=(20.55, 30.05)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
     )
     errors.DOUBTED.clear()
     robot = ik.Robot.load(far)
@@ -47,6 +47,16 @@ def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
     robot.fk([45, 0.5])
     assert [record.getMessage() for record in caplog.records] == [
         "q, joint j0: 45 rad is 7.16 turns; were degrees meant?"
+    ]
+
+
+def test_a_tolerance_of_half_a_turn_is_doubted(caplog):
+    arm = ik.Robot.load("hydrolek_7w")
+    errors.DOUBTED.clear()
+    ik.solve(arm, arm.fk(arm.home), orientation_tolerance=5)
+    ik.solve(arm, arm.fk(arm.home), orientation_tolerance=0.1)
+    assert [record.getMessage() for record in caplog.records] == [
+        "orientation_tolerance: 5 rad is 0.796 turns; were degrees meant?"
     ]
 
 

@@ -79,3 +79,27 @@ def test_a_motion_ends_at_the_first_contact_even_between_the_poses(share):
     world = ik.CollisionModel(arm).add_sphere(0.01 + near, begin + 30.0 * way)
     path = ik.solve_path(arm, begin + np.outer([0.0, 1.0, 2.0], way), avoid_collisions=world)
     assert path.status == PathStatus.COLLISION and abs(path.fraction - 0.5 * share) < EXACT
+
+
+def test_an_arm_with_few_joints_follows_as_far_as_single_solves_reach():
+    arm = robots.load("so101")
+    line = np.repeat(arm.fk(arm.home).homogeneous[None], 101, axis=0)
+    line[:, 0, 3] += np.linspace(0.0, 0.4, 101)
+    reached = np.flatnonzero(~ik.solve_batch(arm, line).success)[0] / 100
+    for given in (line[[0, -1]], line[::20]):
+        assert abs(ik.solve_path(arm, given, q0=arm.home).fraction - reached) < 2e-2
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("so101", "the arm has 5 joints, and the target fixes 6 directions"),
+        ("planar_3r", "the tip's z axis always points along z of the base, and the target's points 17.2 deg from it"),
+    ],
+)
+def test_why_a_pose_is_not_reached_is_said_and_limits_are_not_blamed(name, cause):
+    arm = robots.load(name)
+    pose = arm.fk(arm.random_q(np.random.default_rng(1))).homogeneous
+    pose[:3, :3] = pose[:3, :3] @ ik.pose((0, 0, 0), rpy=(0.3, 0, 0))[:3, :3]
+    message = ik.solve_path(arm, [pose, pose]).message
+    assert cause in message and "priority" in message and "widen" not in message

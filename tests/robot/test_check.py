@@ -127,6 +127,7 @@ def test_long_chains():
     assert pin.buildModelFromXML(load(chain(128)), True).nv == 128
     assert "129 degrees of freedom; at most 128" in refusal(chain(129))
     floating = chain(22, "floating")  # 22 of six each
+    assert "132 degrees of freedom" in refusal(floating.replace("</joint>", '<mimic joint="j0"/></joint>'))
     assert "132 degrees of freedom" in refusal(floating) and "132 degrees" in str(check_urdf(floating)[0])
 
 

@@ -9,6 +9,7 @@ from folders import read_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, ModelError
 from ik_toolkit.robot.formats.dh import dh_fk, dh_table, read_dh_table, to_urdf
 from ik_toolkit.robot.formats.urdf_check import check_urdf
@@ -226,3 +227,9 @@ def test_any_csv_is_refused_or_read(tmp_path_factory, text):
         to_urdf(read_dh_table(file))
     except ModelError:
         pass
+
+
+def test_a_table_given_as_a_robot_says_how_to_make_one(tmp_path):
+    (tmp_path / "arm.toml").write_text('name = "arm"')
+    with pytest.raises(ModelError, match=r"'arm.toml' is a D-H table; .*dh arm.toml -o OUT.urdf. makes a URDF of it"):
+        ik.Robot.load(tmp_path / "arm.toml")

@@ -7,7 +7,14 @@ import robots
 from robots import joint
 
 import ik_toolkit as ik
-from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+from ik_toolkit.errors import (
+    ConfigurationNotFound,
+    InvalidConfiguration,
+    InvalidOption,
+    InvalidTarget,
+    ModelError,
+    ReadOnlyAttribute,
+)
 from ik_toolkit.robot.formats.mimic import followers
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.pose import AxisTarget
@@ -44,6 +51,8 @@ def test_models(arm):
 def test_configurations(arm):
     with pytest.raises(ConfigurationNotFound, match="the robot has no configuration named 'up'"):
         arm.named["up"]
+    with pytest.raises(ReadOnlyAttribute, match="keep q yourself"):
+        arm.named["up"] = arm.home
     with pytest.raises(
         InvalidConfiguration, match=rf"must have {arm.model.nq} values for this model, not shape \(2,\)"
     ):
@@ -137,7 +146,7 @@ def test_joints_that_mimic_nothing_they_can_follow():
     assert {loose["one"], loose["two"]} <= {"mimics itself through 'two'", "mimics itself through 'one'"}
     assert loose["after"] == f"mimics joint 'one', which {loose['one']}"
     assert loose["lost"] == "mimics joint 'nobody', which does not exist"
-    assert loose["stiff"] == "mimics joint 'fixed', which does not move"
+    assert loose["stiff"] == "mimics joint 'fixed', which is fixed"
     assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]
 
 

@@ -111,6 +111,28 @@ def test_shapes_are_for_collisions_and_pictures(arm):
     assert np.allclose([float(x) for x in xyz.split()], (0.1, 0.2, 0.3), atol=1e-12)  # the file's own origin
 
 
+@pytest.mark.parametrize(
+    ("unit", "most", "said"), [("degree", 1.57, True), ("degree", 90, False), ("radian", 1.57, False)]
+)
+def test_radians_read_as_degrees_are_said(unit, most, said):
+    hinge = f'<geom size="0.05"/><joint axis="0 1 0" range="-{most} {most}"/>'
+    bodies = f'<body name="a">{hinge}<body name="b" pos="0.2 0 0">{hinge}</body></body>'
+    text = f'<mujoco><compiler angle="{unit}"/><worldbody>{bodies}</worldbody></mujoco>'
+    assert said == any("were radians meant?" in note for note in ik.Robot.load(text).notes)
+
+
+def test_pairs_that_the_file_excludes_are_not_tested():
+    ball = '<geom size="0.05"/><joint axis="0 1 0" range="-90 90"/>'
+    text = (
+        f'<mujoco><worldbody><body name="a">{ball}<body name="b" pos="0.2 0 0">{ball}<body name="c" pos="0.2 0 0">{ball}</body>'
+        "</body></body></worldbody>{}</mujoco>"
+    )
+    free = ik.CollisionModel(ik.Robot.load(text.format("")))
+    assert ("a", "c") in free.pairs
+    kept = ik.CollisionModel(ik.Robot.load(text.format('<contact><exclude body1="a" body2="c"/></contact>')))
+    assert kept.allowed == {("a", "c"): "exclude"} and ("a", "c") not in kept.pairs
+
+
 def test_keyframes_are_named_configurations(arm):
     robot = ik.Robot.load(arm, tip="tool")
     assert np.allclose(robot.named["folded"], [0.3, 0.5, 0, 0, 0, -1.2, 0.25])

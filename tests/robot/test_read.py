@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import robots
 from elbow_arm import LIMIT, TURN, arm, elbow, said, same_fk
+from robots import joint
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
@@ -106,6 +107,8 @@ def test_the_plane_of_a_planar_joint_is_perpendicular_to_its_axis(axis, root):
         ('<Origin xyz="0.4 0 0"/>', "<Origin>"),
         ('<orgin xyz="0.4 0 0"/>', "<orgin>"),
         ('<pose xyz="0.4 0 0"/>', "<pose>"),
+        ("<pose>0.4 0 0 0 0 0</pose>", "<pose>"),
+        ("<origin>0.4 0 0</origin>", "its <origin> is empty"),
         ('<urdf:origin xyz="0.4 0 0"/>', "<urdf:origin>"),
         ('<Axis xyz="0 0 1"/>', "<Axis>"),
         ('<axis xzy="0 0 1"/>', "xzy= of <axis>"),
@@ -129,6 +132,18 @@ def test_names_that_no_reader_knows(part, word, caplog):
     assert [line for line, told in said(text) if word in told] == [5]
     robot = ik.Robot.load(text)
     assert word in caplog.text and any(word in note for note in robot.notes)
+
+
+@pytest.mark.parametrize("wrapper", ["group", "robot"])
+def test_joints_in_a_wrong_place_are_said(wrapper):
+    lost = f'<{wrapper} name="x"><link name="z"/>\n{joint("lost", "revolute", "upper", "z")}</{wrapper}>'
+    assert any(f"inside <{wrapper}>" in note for note in ik.Robot.load(elbow(extra=lost)).notes)
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+def test_a_mimic_that_a_joint_cannot_follow_is_said(kind):
+    text = elbow(extra=joint("odd", kind, "upper", "z", mimic='<mimic joint="elbow"/>'))
+    assert any(f"a {kind} joint mimics no other" in note for note in ik.Robot.load(text, tip="hand").notes)
 
 
 def test_misspelled_items_and_shapes():
@@ -163,6 +178,7 @@ def test_extensions_are_no_mistakes():
     [
         elbow(limit='<limit lower="-120" upper="120" effort="1" velocity="1"/>'),
         elbow(limit='<limit lower="0" upper="90.0" effort="1" velocity="1"/>'),
+        elbow(limit='<limit lower="-2" upper="171.5" effort="1" velocity="1"/>'),
         elbow('<origin rpy="0 -90 0"/>'),
         elbow('<origin rpy="0 0 180"/>'),
         elbow(limit=LIMIT.replace("2", "99") + '<mimic joint="shoulder" offset="45"/>'),
@@ -174,7 +190,7 @@ def test_degrees_are_said(text, caplog):
 
 
 def test_what_is_not_degrees():
-    for limit in ("-6.2831 6.2831", "-29 29", "-1000 1000", "-45.5 45.5"):
+    for limit in ("-6.2831 6.2831", "-29 29", "-1000 1000", "-45.53 45.53", "-31.4 62.8"):
         low, high = limit.split()
         assert said(elbow(limit=f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>')) == []
     assert said(elbow(limit='<limit lower="0" upper="90" effort="1" velocity="1"/>', kind="prismatic")) == []

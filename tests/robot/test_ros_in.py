@@ -226,7 +226,8 @@ def test_lists_of_axis_targets(arm):
     poses = [arm.fk(q) for q in arm.random_q(np.random.default_rng(3), 4)]
     targets = [ik.pose(M.translation, direction=M.rotation[:, 2]) for M in poses]
     batch = ik.solve_batch(arm, targets)
-    assert batch.success.all()
+    assert batch.success.all() and ik.solve_batch(arm, np.array(targets, dtype=object)).success.all()
+    assert ik.place(arm, targets, ((0, 0), (0, 0)), yaw=0).poses.shape == (4, 4, 4)
     for q, M in zip(batch.q, poses, strict=True):
         assert np.abs(arm.fk(q).translation - M.translation).max() < 1e-5
         assert np.abs(arm.fk(q).rotation[:, 2] - M.rotation[:, 2]).max() < 1e-5

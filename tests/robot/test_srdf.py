@@ -58,6 +58,23 @@ def test_remarks_say_what_is_not_in_the_robot(arm, caplog):
     assert "joint 'j1' with several values is ignored" in found.srdf.against(found.model)[0]
 
 
+@pytest.mark.parametrize(
+    ("inside", "remark"),
+    [
+        ('<passive_joint name="j44"/>', "passive joints: joint 'j44' is not in the robot. Did you mean 'j4'?"),
+        ('<group name="g"><joint name="j0"/><joint name="jl"/></group>', "groups: joint 'jl' is not in the robot"),
+        ('<group name="g"><link name="l0"/><link name="m1"/></group>', "groups: link 'm1' is not in the robot"),
+        (
+            '<group_state name="up"><joint name="j1" value="90"/><joint name="j2" value="1.5004"/></group_state>',
+            "configuration 'up': joint 'j1' is outside the limits",
+        ),
+    ],
+)
+def test_names_and_values_that_the_robot_cannot_have_are_said(inside, remark, caplog):
+    robot(inside)
+    assert remark in caplog.text
+
+
 def state(group, **values):
     inside = "".join(f'<joint name="{joint}" value="{value}"/>' for joint, value in values.items())
     return f'<group_state name="ready" group="{group}">{inside}</group_state>'

@@ -40,12 +40,21 @@ def arm(*ends):
         (("gripper_base", "left_finger/f1", "right_finger/f2"), "gripper_base"),
         (("hand_camera_link", "l_hand"), "l_hand"),
         (("whatever",), "whatever"),
+        (("wrist_imu", "b_inertia"), "b"),
+        (("lidar_optical/turret",), "lidar_optical"),
     ],
 )
 def test_conventions(ends, tip, caplog):
     with caplog.at_level(logging.WARNING, logger="ik_toolkit"):
         assert ik.Robot.load(arm(*ends)).tip == tip
     assert (f"using tip '{tip}'" in caplog.text) == (len(ends) > 1)
+
+
+def test_what_carries_the_only_sensor_is_the_tip(caplog):
+    eye = arm("camera_link").replace(
+        "</robot>", joint("eye", "fixed", "camera_link", "camera_optical_frame") + "</robot>"
+    )
+    assert ik.Robot.load(eye).tip == "b" and "using tip 'b'" in caplog.text
 
 
 def test_equal_ends_are_not_guessed_between():

@@ -2,7 +2,9 @@
 
 import os
 from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ik_toolkit as ik
@@ -157,7 +159,7 @@ def test_hostile_files_are_harmless(tmp_path, inside, said):
 
 
 def test_arguments_are_checked(package, tmp_path):
-    with pytest.raises(InvalidOption, match="xacro_args must map names to strings or numbers"):
+    with pytest.raises(InvalidOption, match="xacro_args must map names to strings, numbers or paths"):
         ik.Robot.load(package / "urdf" / "arm.urdf.xacro", xacro_args={"length": [1]})
     with pytest.raises(InvalidOption, match="hydrolek_7w is a plain URDF"):
         ik.Robot.load("hydrolek_7w", xacro_args={"length": 1})
@@ -176,6 +178,26 @@ def test_an_argument_without_a_value_says_how_to_give_it(tmp_path, declared):
     assert "the argument 'prefix' has no value" in str(caught.value)
     assert "xacro_args={'prefix': ...}" in str(caught.value) and "--xacro-arg prefix:=VALUE" in str(caught.value)
     assert ik.Robot.load(file, xacro_args={"prefix": "left_"}).joint_names == ("left_j",)
+
+
+def test_calls_of_macros_that_do_not_fit_name_the_macro(tmp_path):
+    macro = '<xacro:macro name="gripper" params="a b"><xacro:griper/></xacro:macro>'
+    for call, said in (
+        ("griper", "there is no macro 'griper'. Did you mean 'gripper'? Available: gripper."),
+        ('gripper a="1"', "Undefined parameters [b] (in the macro 'gripper' of 'arm.urdf.xacro')"),
+        ('gripper a="1" b="2"', "there is no macro 'griper'. Did you mean 'gripper'?"),
+    ):
+        (tmp_path / "arm.urdf.xacro").write_text(f"{HEAD}{macro}<xacro:{call}/>{ONE.replace('LENGTH', '1')}")
+        with pytest.raises(ModelError) as caught:
+            ik.Robot.load(tmp_path / "arm.urdf.xacro")
+        assert said in str(caught.value)
+
+
+def test_arguments_may_be_numbers_of_numpy_and_paths(tmp_path):
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_text(HEAD + '<xacro:arg name="x" default="0"/>' + ONE.replace("LENGTH", "$(arg x)"))
+    for given in (2, np.int64(2), np.float64(2.0), Path("2")):
+        assert ik.Robot.load(file, xacro_args={"x": given}).fk([0.0]).translation[0] == 2.0
 
 
 def test_packages_go_by_the_name_in_their_manifest(tmp_path):

@@ -92,7 +92,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     A follower of a follower is tied to the leader of both.
     """
     joints = {item.name: item for item in items if item.tag == "joint"}
-    given = {name: mimic for name, item in joints.items() if (mimic := item.first("mimic")) is not None}
+    moving = {name: item for name, item in joints.items() if item.attributes.get("type") in MOVING}
+    given = {name: mimic for name, item in moving.items() if (mimic := item.first("mimic")) is not None}
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
@@ -108,8 +109,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
         if end in loose:
             why = loose[end] if end in walk else f"mimics joint '{end}', which {loose[end]}"
         elif end in tied or end in joints:
-            moves = end in tied or joints[end].attributes.get("type") in MOVING
-            why = "" if moves else f"mimics joint '{end}', which does not move"
+            kind = joints[end].attributes.get("type")
+            why = "" if end in moving else f"mimics joint '{end}', which is {kind}"
         else:
             why = f"mimics joint '{end}', which does not exist"
         for follower in reversed(walk):

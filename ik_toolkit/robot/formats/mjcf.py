@@ -23,6 +23,7 @@ from ..rotation import matrix_rpy, quat_matrix
 from .mjcf_constraints import Ties, read_ties
 from .mjcf_text import flatten
 from .sandbox import ask
+from .srdf import Srdf
 from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
@@ -38,12 +39,12 @@ BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 class Read(NamedTuple):
     """An MJCF model written as URDF.
 
-    `states` maps a keyframe to its joint values {joint: (value,)}, as in an SRDF. `notes` says what the URDF lacks.
+    `srdf` has the keyframes, as configurations, and the pairs of links that may touch. `notes` says what the URDF lacks.
     `constraints` has the loops and relations that a URDF cannot hold.
     """
 
     urdf: str
-    states: dict[str, dict[str, tuple[float, ...]]]
+    srdf: Srdf
     notes: list[str]
     constraints: tuple[Constraint, ...] = ()
 
@@ -119,21 +120,27 @@ class _Writer:
                 self._fix(link, bodies[site["body"]], link, _matrix(site["pos"], site["quat"]))
         if self.left_out:
             self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
-        return Read(to_text(self.robot), self._states(), self.notes, ties.constraints)
+        pairs = {(bodies[i], bodies[j]): "exclude" for i, j in model["excludes"]}
+        return Read(to_text(self.robot), Srdf(states=self._states(), disabled=pairs), self.notes, ties.constraints)
 
-    def _states(self) -> dict[str, dict[str, tuple[float, ...]]]:
+    def _states(self) -> dict[str, dict[str, dict[str, tuple[float, ...]]]]:
         """Return the configurations of the keyframes; one whose qpos has a value that is not finite is left out, with a note."""
         states = {}
         for k, key in enumerate(self.model["keys"]):
             name = key["name"] or f"key{k}"
             if np.isfinite(key["qpos"]).all():
-                states[name] = {joint: (x,) for one in self.values for joint, x in one(key["qpos"])}
+                states[name] = {"": {joint: (x,) for one in self.values for joint, x in one(key["qpos"])}}
             else:
                 self.notes.append(f"keyframe '{name}' is left out: a value in its qpos is not a finite number")
         return states
 
     def _doubtful(self, joints: Sequence[str]) -> None:
-        """Add notes on the joint ranges that MuJoCo ignores because their ends are reversed or equal."""
+        """Add notes on ranges that MuJoCo ignores because their ends are reversed or equal, and on radians read as degrees."""
+        hinges = [joint["range"] for joint in self.model["joints"] if joint["type"] == "hinge" and joint["range"]]
+        if len(hinges) > 1 and np.abs(hinges).max() <= math.radians(2.0 * math.pi):
+            self.notes.append(
+                'no hinge may turn further than 6.28 degrees: were radians meant? Then write <compiler angle="radian"/>'
+            )
         for name, joint in zip(joints, self.model["joints"], strict=True):
             low, high = joint["given"]
             if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):

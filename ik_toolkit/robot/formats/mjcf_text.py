@@ -11,7 +11,7 @@ from .urdf import CAPS, check_names, source_text, walk
 
 MAX_COPIES = 20_000  # Limit on the number of elements after replication, and of keyframes times bodies.
 MAX_INCLUDES = 200  # Limit on the number of included files. The largest model of the MuJoCo Menagerie has 5.
-KEPT = ("compiler", "default", "asset", "worldbody", "tendon", "equality", "keyframe")
+KEPT = ("compiler", "default", "asset", "worldbody", "contact", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
 # A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
@@ -166,6 +166,9 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
         if element.tag == "equality" and child.tag not in ("joint", "connect", "weld", "tendon"):
             element.remove(child)
             flat.notes.append(f"an equality of <{child.tag}> is left out")
+            continue
+        if element.tag == "contact" and child.tag != "exclude":
+            element.remove(child)
             continue
         if asset:
             _asset(child, flat, where)

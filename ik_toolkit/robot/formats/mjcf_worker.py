@@ -117,6 +117,7 @@ def describe(m: Any) -> dict:
             for i in range(m.nsite)
         ],
         **equalities(m),
+        "excludes": [[int(pair) >> 16, int(pair) & 0xFFFF] for pair in m.exclude_signature],
         "keys": [{"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()} for i in range(m.nkey)],
     }
 

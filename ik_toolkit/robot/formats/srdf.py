@@ -33,9 +33,10 @@ class Srdf:
     """The contents of an SRDF.
 
     `name` is the robot's, `path` the file or None for text. `states` maps a configuration to its groups ('' if none is
-    given), and each group to joint values [rad or m]. `disabled` maps pairs of links that may touch to a reason; a link
-    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on contents that cannot be
-    used. Configurations of `group`, the group chosen by the user, take precedence.
+    given), and each group to joint values [rad or m]. `virtual_joints` tie the robot to the world; no URDF has them.
+    `disabled` maps pairs of links that may touch to a reason; a link in `quiet` may touch everything but its partners in
+    `enabled`. `remarks` are sentences on contents that cannot be used. Configurations of `group`, the group chosen by the
+    user, take precedence.
     """
 
     name: str = ""
@@ -44,6 +45,7 @@ class Srdf:
     end_effectors: Mapping[str, EndEffector] = field(default_factory=dict)
     states: Mapping[str, Mapping[str, State]] = field(default_factory=dict)
     passive_joints: tuple[str, ...] = ()
+    virtual_joints: tuple[str, ...] = ()
     disabled: Mapping[tuple[str, str], str] = field(default_factory=dict)
     quiet: tuple[str, ...] = ()
     enabled: tuple[tuple[str, str], ...] = ()
@@ -147,22 +149,30 @@ class Srdf:
         strange = {link for pair in self.disabled for link in pair if link not in links}
         if strange:
             out.append(f"pairs that may touch: {_are(strange, 'link')} not in the robot")
-        for what, names in (
-            ("ends of chains", {link for group in self.groups.values() for chain in group.chains for link in chain}),
-            ("end effectors", {e.parent_link for e in self.end_effectors.values()}),
+        groups = self.groups.values()
+        for what, kind, names in (
+            ("ends of chains", "link", {link for group in groups for chain in group.chains for link in chain}),
+            ("end effectors", "link", {e.parent_link for e in self.end_effectors.values()}),
+            ("groups", "link", {link for group in groups for link in group.links}),
+            ("groups", "joint", {joint for group in groups for joint in group.joints}),
+            ("passive joints", "joint", {*self.passive_joints}),
         ):
-            if names - links:
-                near = _meant(names - links, links)
-                out.append(f"{what}: {_are(names - links, 'link')} not in the robot{near}")
+            lost = names - links - {*self.virtual_joints}
+            if lost:
+                out.append(f"{what}: {_are(lost, kind)} not in the robot{_meant(lost, links)}")
         for state, groups in self.states.items():
             given = [item for values in groups.values() for item in values.items()]
-            missing = {joint for joint, _ in given if not model.existJointName(joint) and joint not in links}
+            known = {*model.names, *links, *self.virtual_joints}
+            missing = {joint for joint, _ in given if joint not in known}
             other = {joint for joint, x in given if joint not in missing and len(x) != 1}
             if missing:
                 near = _meant(missing, model.names)
                 out.append(f"configuration '{state}': {_are(missing, 'joint')} not in the robot{near}")
             if other:
                 out.append(f"configuration '{state}': {_are(other, 'joint', ' with several values')} ignored")
+            beyond = {joint for joint, x in given if len(x) == 1 and _outside(model, joint, x[0])}
+            if beyond:
+                out.append(f"configuration '{state}': {_are(beyond, 'joint')} outside the limits")
         return tuple(out)
 
 
@@ -181,19 +191,16 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
 
 
-def srdf_of(
-    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, State], group: str | None = None
-) -> Srdf:
+def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: str | None = None) -> Srdf:
     """Return the Srdf that belongs to a model read from `path`.
 
     It is the given one; if that is None, the one next to the file, if any (see `srdf_beside`); if it is False, an empty
-    one. `states` are the named configurations of the description itself, which those of the SRDF override. `group` is
-    the chosen one.
+    one. `own` has the configurations and pairs of the description itself; the SRDF's override them. `group` is the chosen
+    one.
     """
     found = _srdf_of(given, model, path)
-    return replace(
-        found, states={**{name: {"": one} for name, one in states.items()}, **found.states}, group=group or ""
-    )
+    states, pairs = {**own.states, **found.states}, {**own.disabled, **found.disabled}
+    return replace(found, states=states, disabled=pairs, group=group or "")
 
 
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
@@ -312,6 +319,14 @@ def _line(model: pin.Model, frame: int) -> set[int]:
         seen.add(frame)
         frame = model.frames[frame].parentFrame
     return seen
+
+
+def _outside(model: pin.Model, name: str, value: float) -> bool:
+    """Return whether a joint of one coordinate is outside its limits by more than values in files are rounded."""
+    if not model.existJointName(name) or (joint := model.joints[model.getJointId(name)]).nq != 1:
+        return False
+    low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+    return not low - 1e-3 <= value <= high + 1e-3
 
 
 def _are(names: Iterable[str], what: str, with_what: str = "") -> str:

@@ -59,6 +59,7 @@ def contents(text: str) -> dict[str, Any]:
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
     lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
     passive: list[str] = []
+    virtual: list[str] = []
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
@@ -80,6 +81,8 @@ def contents(text: str) -> dict[str, Any]:
                 ends[item.name] = EndEffector(item.name, *links)
             case "passive_joint":
                 passive.append(item.name)
+            case "virtual_joint":
+                virtual.append(item.name)
             case "disable_collisions" if given["link1"] != given["link2"]:
                 disabled[given["link1"], given["link2"]] = given.get("reason", "")
             case "enable_collisions":
@@ -101,6 +104,7 @@ def contents(text: str) -> dict[str, Any]:
         "end_effectors": ends,
         "states": {state: by_group for state, by_group in states.items() if by_group},
         "passive_joints": tuple(dict.fromkeys(passive)),
+        "virtual_joints": tuple(virtual),
         "disabled": disabled,
         "quiet": tuple(quiet),
         "enabled": tuple(enabled),

@@ -193,10 +193,12 @@ def parse(text: str) -> list[Item]:
             items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
+        elif tag == "parent" and above[-1] == "joint" and "link" in attributes:  # a joint of URDF in a wrong place
+            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
 
     walk(text, "URDF", start)
-    joined = [item for item in items if item.tag == "joint" and item.first("mimic") is None]
-    freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in joined)
+    freedoms = [(FREEDOM.get(item.attributes.get("type", ""), 0), item) for item in items if item.tag == "joint"]
+    freedom = sum(count for count, item in freedoms if count > 1 or item.first("mimic") is None)
     if freedom > CAPS.freedom:
         raise ModelError(
             f"the URDF has {freedom} degrees of freedom; at most {CAPS.freedom} are read, because the memory Pinocchio "

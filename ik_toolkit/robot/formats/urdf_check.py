@@ -213,6 +213,9 @@ def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
                 yield from _twice(item)
         elif item.tag not in (*ITEMS, "robot") and (near := _known_like(item.tag, ROOT, seen)):
             yield _unknown("robot", f"<{item.tag}>", f"<{near}>", item.line)
+        elif item.tag not in ITEMS and item.inside:
+            told = f"its joints (line {item.inside[0].line}) are ignored, because they are inside <{item.tag}>"
+            yield odd(item, told, "write links and joints directly below <robot>", item.line, at_load=True)
 
 
 def _part(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
@@ -233,7 +236,8 @@ def _part(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
     if near:
         yield _unknown(item, f"<{part.tag}>", f"<{near}>", part.line)
     elif ":" not in part.tag and (
-        inside == "geometry" or (item.tag == "joint" and any(key in KINEMATIC for key in part.attributes))
+        inside == "geometry"
+        or (item.tag == "joint" and (part.tag == "pose" or any(key in KINEMATIC for key in part.attributes)))
     ):
         yield _unknown(item, f"<{part.tag}>", "", part.line)
 

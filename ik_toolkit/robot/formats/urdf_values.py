@@ -9,8 +9,8 @@ from .urdf import ENDLESS, NUMBERS, SHAPES, SIZES, InnerElement, Item, attribute
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
 UNIT = 0.01  # The length of a quaternion or an axis may differ from 1 by this much before it is reported.
-DEGREES = (30.0, 360.0)  # A whole number in this range is taken for degrees rather than radians.
-IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
+DEGREES = (30.0, 360.0)  # A number in this range with at most one decimal is taken for degrees rather than radians.
+IN_DEGREES = "radians are meant: write 3.14159 for 180 degrees"
 UNUSED = "without it the joint counts as having no such limit; other readers of URDF refuse the file"
 
 
@@ -28,6 +28,9 @@ def check_joint(joint: Item) -> Iterator[Finding]:
     if kind in ("floating", "planar"):
         told = f"a {kind} joint is held still, and poses are given in the link it carries"
         yield odd(joint, told, "give base_limits= to let it move, or make it fixed", joint.line)
+        if joint.own("mimic"):
+            told = f"its <mimic> is ignored, because a {kind} joint mimics no other"
+            yield odd(joint, told, "remove it, or make the joint revolute or prismatic", joint.line, at_load=True)
     if kind in (*MOVING, "planar"):
         yield from _axis(joint, kind)
     if kind in MOVING:
@@ -104,6 +107,9 @@ def _numbers(item: Item, part: InnerElement, found: Callable[..., Finding]) -> I
 def _origin(item: Item, part: InnerElement, found: Callable[..., Finding]) -> Iterator[Finding]:
     """Yield findings about the rotation of an <origin>; text that is not a number has been reported before."""
     given = part.attributes
+    if not given:
+        told = "its <origin> is empty: no offset and no rotation"
+        yield odd(item, told, "write xyz= and rpy=, or remove it", part.line, at_load=item.tag == "joint")
     rpy = attribute_numbers(given.get("rpy", "")) or []
     if any(map(_degrees, rpy)):
         told = f'its <origin rpy="{given["rpy"]}"> looks like degrees'
@@ -212,8 +218,7 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
         holds = f", and holds joint '{leader}', which it mimics" if leader else ""
         told = f"its limits are both {low:g}: it cannot move{holds}"
         yield odd(joint, told, "widen them, or make it fixed", line, at_load=bool(leader))
-    whole = all(x.is_integer() for x in (low, high))
-    if kind == "revolute" and whole and (_degrees(low) or _degrees(high)):
+    if kind == "revolute" and (_degrees(low) or _degrees(high)):
         told = f"its limits {low:g} to {high:g} look like degrees"
         yield odd(joint, told, IN_DEGREES, line, at_load=True)
 
@@ -256,4 +261,7 @@ def _power(joint: Item, limit: Mapping[str, str], key: str, line: int) -> Iterat
 
 
 def _degrees(angle: float) -> bool:
-    return DEGREES[0] <= abs(angle) <= DEGREES[1] and angle.is_integer()
+    """Return whether an angle looks like degrees; 31.4 does not, which is 10 pi."""
+    if not DEGREES[0] <= abs(angle) <= DEGREES[1]:
+        return False
+    return angle.is_integer() or (round(angle, 1) == angle and abs(math.sin(angle)) > 0.05)

@@ -4,8 +4,11 @@ import importlib.util
 import logging
 import os
 from collections.abc import Iterable, Mapping
+from numbers import Number
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ...errors import InvalidOption, MissingExtra, ModelError, near_match
 from .sandbox import ask
@@ -48,9 +51,11 @@ def expand(
         raise MissingExtra("xacrodoc", "formats")
     given = {}
     for name, value in (arguments or {}).items():
-        if not isinstance(name, str) or not isinstance(value, str | int | float):
-            raise InvalidOption(f"xacro_args must map names to strings or numbers, not {name!r:.60}: {value!r:.60}")
-        given[name] = str(value).lower() if isinstance(value, bool) else str(value)
+        if not isinstance(name, str) or not isinstance(value, str | Number | np.bool | Path):
+            raise InvalidOption(
+                f"xacro_args must map names to strings, numbers or paths, not {name!r:.60}: {value!r:.60}"
+            )
+        given[name] = str(value).lower() if isinstance(value, bool | np.bool) else str(value)
     file = path.expanduser().resolve()
     folders = [str(Path(folder).expanduser().resolve()) for folder in package_dirs]
     package = [str(folder) for folder in file.parents if (folder / "package.xml").is_file()]

@@ -19,6 +19,7 @@ from typing import Any
 
 # This file runs as a script, so the package is importable only if its parent folder is on sys.path.
 sys.path.append(str(Path(__file__).parents[3]))
+from ik_toolkit.errors import near_match
 from ik_toolkit.robot.formats.sandbox import limit
 from ik_toolkit.robot.formats.xacro_files import CAPS, Files
 from ik_toolkit.robot.formats.xacro_library import library
@@ -147,7 +148,13 @@ class Expansion:
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
         """Return a macro, and count the cost of copying its body, which xacro does next."""
-        found = self.original["resolve_macro"](name, macros, symbols)
+        try:
+            found = self.original["resolve_macro"](name, macros, symbols)
+        except KeyError:
+            known, table = list[str](), macros
+            while table is not None:
+                known, table = [*known, *table], getattr(table, "parent", None)
+            raise Refused(f"there is no macro '{name[:100]}'.{near_match(name, known)}") from None
         body = found[2].body
         if id(body) not in self.bodies:
             self.bodies[id(body)] = body, _weight(body)
@@ -297,6 +304,8 @@ def told(cause: BaseException, stack: list[str]) -> str:
     """Say in one sentence which error ended the expansion, and in which expression."""
     said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
     where = f"'{stack[-1]}'" if stack else ""
+    macros = sys.modules["xacro"].macrostack
+    name = macros[-1].body.getAttribute("name")[:60] if macros else ""
     if isinstance(cause, Refused) and len(cause.args) > 1:
         text = " ".join(str(cause.args[1]).split())
         where = f"in the expression '{text[:60]}{'...' * (len(text) > 60)}'" + (f" of {where}" if where else "")
@@ -305,11 +314,11 @@ def told(cause: BaseException, stack: list[str]) -> str:
         others = [name for name in stack if name != os.path.basename(cause.filename)]
         said, where = f"there is no file '{cause.filename}'", f"'{others[-1]}'" if others else ""
     elif isinstance(cause, RecursionError):
-        macros = sys.modules["xacro"].macrostack
-        name = macros[-1].body.getAttribute("name")[:60] if macros else ""
         said = f"the macro '{name}' calls itself without end (recursion)" if name else "endless recursion"
     elif isinstance(cause, MemoryError):
         said = "it needs too much memory"
+    elif name:
+        where = f"the macro '{name}' of {where}"
     said = said or type(cause).__name__
     return f"{said} (in {where})" if where else said
 
