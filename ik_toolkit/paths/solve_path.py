@@ -23,6 +23,7 @@ from ..solvers.collision_free import collision_model
 from ..solvers.message import why_missed
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
+from ..solvers.plan import Plan
 from ..solvers.solve import Solver, require_robot
 from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
@@ -105,7 +106,7 @@ def solve_path(
     T, kinds = _read(robot, poses)
     step, tolerance = pair("max_step", max_step, STEP), between(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
-    (q0, notice), q_end = _start(solver, kinds, q0), None if q_end is None else robot.check_q(q_end, "q_end")
+    q0, q_end, notice = _ends(solver.plan_for(kinds), q0=q0, q_end=q_end)
     wanted, places, met, follower = None, None, None, None
     if solver.options.priority is not None:
         given = dict(
@@ -196,12 +197,11 @@ def _fewer(met: PathResult | None, made: PathResult) -> PathResult:
     return met
 
 
-def _start(solver: Solver, kinds: tuple, q0: Any) -> tuple[np.ndarray | None, str]:
-    """Return the start q0 (n,), inside the limits, and a notice. Raises InvalidConfiguration."""
-    if q0 is None:
-        return None, ""
-    start, notice = solver.plan_for(kinds).check_start(q0)
-    return start[0], notice
+def _ends(plan: Plan, **given: Any) -> tuple[np.ndarray | None, np.ndarray | None, str]:
+    """Return q0 and q_end (n,), inside the limits, or None, and a notice. Raises InvalidConfiguration."""
+    found = [(None, "") if q is None else plan.check_start(q, name) for name, q in given.items()]
+    first, last = (None if q is None else q[0] for q, _ in found)
+    return first, last, "; ".join(notice for _, notice in found if notice)
 
 
 def _share_bound(search: Search, other: Search) -> None:

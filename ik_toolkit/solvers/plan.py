@@ -254,44 +254,44 @@ class Plan:
         weights = np.ones(self.robot.n) if o.joint_weights is None else o.joint_weights
         return np.concatenate([orders, *tasks, weights, parameters(row, self.rule, asked)])
 
-    def check_start(self, q0: Any) -> tuple[np.ndarray, str]:
-        """Read q0 in any form and check it as `check_starts` does; return (1, n) and a notice."""
-        q, notice = self.robot.read_q(q0, "q0")
-        start, clamped = self.check_starts(q[None])
+    def check_start(self, q0: Any, name: str = "q0") -> tuple[np.ndarray, str]:
+        """Read q0 (or another configuration of this name) in any form, check it as `check_starts` does; return (1, n), a notice."""
+        q, notice = self.robot.read_q(q0, name)
+        start, clamped = self.check_starts(q[None], name)
         return start, f"{notice}; {clamped}" if notice and clamped else notice or clamped
 
-    def check_starts(self, Q: np.ndarray) -> tuple[np.ndarray, str]:
+    def check_starts(self, Q: np.ndarray, name: str = "q0") -> tuple[np.ndarray, str]:
         """Validate starts Q (1 or m, n), and clamp them into the limits or refuse them; return them and a notice.
 
         Of several starts, the one farthest outside the limits is checked for values in degrees. Raises InvalidConfiguration, which
         names the target.
         """
         robot, k = self.robot, 0
+
+        def called(k: int) -> str:
+            return f"{name} of target {k}" if len(Q) > 1 else name
+
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
             # the first start with a NaN, if there is one
             k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
-        robot.check_q(Q[k], self._start_name(Q, k))
+        robot.check_q(Q[k], called(k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q
         far = np.abs(inside / robot.chain.unit) >= LARGEST
         if far.any():
             k = int(far.any(axis=1).argmax())
             names = ", ".join(j for j, x in zip(robot.joint_names, far[k], strict=True) if x)
             raise InvalidConfiguration(
-                f"{self._start_name(Q, k)} is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
+                f"{called(k)} is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
             )
         if (inside == Q).all():
             return Q, ""
         rows = np.flatnonzero((inside != Q).any(axis=1))
-        what, names = self._start_name(Q, int(rows[0])), ", ".join(robot.outside(Q[rows[0]]))
+        what, names = called(int(rows[0])), ", ".join(robot.outside(Q[rows[0]]))
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"{what} is outside the limits at joint {names}")
         count = f"; {len(rows)} of {len(Q)} starts were" if len(rows) > 1 else ""
         return inside, f"{what} was outside the limits at joint {names} and was clamped{count}"
-
-    @staticmethod
-    def _start_name(Q: np.ndarray, k: int) -> str:
-        return f"q0 of target {k}" if len(Q) > 1 else "q0"
 
 
 def held_joints(options: Options) -> np.ndarray:
