@@ -163,6 +163,11 @@ def test_what_is_fitted_to_a_mesh_is_the_mesh(tmp_path):
         assert told == any("mesh 'm' itself is read where a capsule is fitted to it" in note for note in robot.notes)
 
 
+def test_settings_that_mujoco_has_given_up_are_no_mistake():
+    text = '<mujoco><compiler exactmeshinertia="true" convexhull="false"/><worldbody><body name="a"><geom size="0.1"/>'
+    assert ik.Robot.load(text + '<joint range="-90 90"/></body></worldbody></mujoco>').n == 1
+
+
 def test_pairs_that_the_file_excludes_are_not_tested():
     ball = '<geom size="0.05"/><joint axis="0 1 0" range="-90 90"/>'
     text = (
