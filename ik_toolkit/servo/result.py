@@ -106,6 +106,10 @@ class TrackResult:
         self.pace = np.full(steps, -1) if self.pace is None else self.pace
         self.end = float(self.clock[-1]) if np.isnan(self.end) else self.end
 
+    def __repr__(self) -> str:
+        """Return status and message, without the arrays."""
+        return f"TrackResult({self.status.name}, {self.message})"
+
     @property
     def success(self) -> bool:
         """Whether the reference was followed to its end, with every sample from settle [s] on inside the tolerances."""
@@ -161,9 +165,7 @@ class TrackResult:
             "elapsed": self.elapsed,
             "searched": self.searched,
             "between": self.between,
-            "stability": None
-            if check is None
-            else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
+            "stability": check and {"verdict": check.verdict, "radius": check.radius, "message": check.message},
             "reach": None if self.reach is None else self.reach.to_dict(),
             "figures": self.figures,
         }

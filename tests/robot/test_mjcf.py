@@ -121,6 +121,53 @@ def test_radians_read_as_degrees_are_said(unit, most, said):
     assert said == any("were radians meant?" in note for note in ik.Robot.load(text).notes)
 
 
+@pytest.mark.parametrize(
+    ("mesh", "geom"),
+    [
+        ('refpos="0.1 0.2 0.3"', 'pos="0.1 0 0" euler="10 20 30"'),
+        ('refquat="1 0.2 0.3 0.4" refpos="0.1 0 0.2" scale="2 2 2"', 'euler="0 20 0"'),
+        ('refpos="0.1 0.2 0.3" scale="1 -2 3"', ""),
+    ],
+)
+def test_meshes_lie_where_mujoco_has_them(mesh, geom, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    box.apply_translation((0.2, 0.1, 0.0))
+    box.export(tmp_path / "box.stl")
+    file = tmp_path / "m.xml"
+    file.write_text(
+        f'<mujoco><asset><mesh name="m" file="box.stl" {mesh}/></asset><worldbody><body name="a" pos="0 0 0.1">'
+        f'<joint axis="0 0 1" range="-90 90"/><geom type="mesh" mesh="m" {geom}/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    theirs = model.mesh_vert @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
+    robot = ik.Robot.load(file)
+    (shape,) = ik.CollisionModel(robot).geometry.geometryObjects
+    at = robot.fk([0.0]) * robot.model.frames[shape.parentFrame].placement.inverse() * shape.placement
+    ours = np.array(shape.geometry.vertices()) @ at.rotation.T + at.translation
+    for end in (np.min, np.max):
+        assert np.allclose(end(ours, axis=0), end(theirs, axis=0), atol=1e-9)
+
+
+def test_what_is_fitted_to_a_mesh_is_the_mesh(tmp_path):
+    text = (
+        '<mujoco><default><default class="fit"><geom type="box"/></default></default><asset><mesh name="m" file="m.stl"/></asset>'
+        '<worldbody><body name="a"><joint axis="0 0 1" range="-90 90"/><geom {} mesh="m"/></body></worldbody></mujoco>'
+    )
+    for given, told in (('type="capsule"', True), ('class="fit"', False), ("", False)):
+        (tmp_path / "m.xml").write_text(text.format(given))
+        robot = ik.Robot.load(tmp_path / "m.xml")
+        assert '<mesh filename="m.stl"' in robot.urdf and "<box" not in robot.urdf and "<capsule" not in robot.urdf
+        assert told == any("mesh 'm' itself is read where a capsule is fitted to it" in note for note in robot.notes)
+
+
+def test_settings_that_mujoco_has_given_up_are_no_mistake():
+    text = '<mujoco><compiler exactmeshinertia="true" convexhull="false"/><worldbody><body name="a"><geom size="0.1"/>'
+    assert ik.Robot.load(text + '<joint range="-90 90"/></body></worldbody></mujoco>').n == 1
+
+
 def test_pairs_that_the_file_excludes_are_not_tested():
     ball = '<geom size="0.05"/><joint axis="0 1 0" range="-90 90"/>'
     text = (

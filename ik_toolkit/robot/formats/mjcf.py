@@ -21,9 +21,10 @@ from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
 from ..rotation import matrix_rpy, quat_matrix
 from .mjcf_constraints import Ties, read_ties
-from .mjcf_text import flatten
+from .mjcf_text import Flat, flatten
 from .sandbox import ask
 from .srdf import Srdf
+from .urdf import attribute_numbers
 from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
@@ -59,7 +60,7 @@ def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path
     name = path.name if path else "MJCF text"
     flat = flatten(text, path, mesh_folders(path, package_dirs))
     model = _compile(flat.xml, name)
-    return _Writer(model, path.stem if path else "", flat.meshes, flat.notes).read()
+    return _Writer(model, path.stem if path else "", flat).read()
 
 
 def _compile(xml: str, name: str) -> dict[str, Any]:
@@ -79,6 +80,24 @@ def _matrix(pos: Sequence[float], quat: Sequence[float]) -> np.ndarray:
     return T
 
 
+def _origin(given: tuple[str, str] | None, scale: Sequence[float]) -> np.ndarray | None:
+    """Return the pose (4x4) [m] of a scaled mesh that MuJoCo moves by -refpos and turns back by refquat before it scales it.
+
+    None: it is stretched as well as turned, which a URDF cannot express, or the texts are no numbers.
+    """
+    T = np.eye(4)
+    if given is not None:
+        pos, quat = (attribute_numbers(text) or [] for text in given)
+        length = math.hypot(*quat)
+        if len(pos) != 3 or len(quat) != 4 or not 0.0 < length < math.inf or not np.isfinite(pos).all():
+            return None
+        R = quat_matrix([x / length for x in quat], "wxyz").T
+        T[:3, :3], T[:3, 3] = R, -np.array(scale) * (R @ pos)
+        if np.abs(R - np.eye(3)).max() > 1e-9 and np.ptp(scale) > 1e-9:
+            return None
+    return T
+
+
 def _free(name: str, taken: set[str]) -> str:
     """Return a name that is not in the set `taken`: the given one or a variant of it, which is added to the set."""
     k, free = 1, name
@@ -92,8 +111,8 @@ def _free(name: str, taken: set[str]) -> str:
 class _Writer:
     """Writes one compiled MJCF model as URDF."""
 
-    def __init__(self, model: dict[str, Any], name: str, meshes: dict[str, str], notes: list[str]) -> None:
-        self.model, self.meshes, self.notes = model, meshes, list(notes)
+    def __init__(self, model: dict[str, Any], name: str, flat: Flat) -> None:
+        self.model, self.flat, self.notes = model, flat, list(flat.notes)
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
@@ -306,11 +325,12 @@ class _Writer:
         size, kind, T = geom["size"], geom["type"], _matrix(geom["pos"], geom["quat"])
         if kind == "mesh":
             mesh = self.model["meshes"][geom["mesh"]]
-            file = self.meshes.get(mesh["name"])
-            if file is None:
-                self.left_out.add("meshes written out")
+            file = self.flat.meshes.get(mesh["name"])
+            own = _origin(self.flat.origins.get(mesh["name"]), mesh["scale"])
+            if file is None or own is None:
+                self.left_out.add("meshes written out" if file is None else "meshes that are turned and stretched")
                 return None
-            T = T @ np.linalg.inv(_matrix(mesh["pos"], mesh["quat"]))
+            T = T @ np.linalg.inv(_matrix(mesh["pos"], mesh["quat"])) @ own
             return ET.Element("mesh", filename=file, scale=numbers_text(mesh["scale"])), T
         if kind == "box":
             return ET.Element("box", size=numbers_text([2.0 * x for x in size])), T

@@ -23,11 +23,12 @@ class Flat:
     """MJCF text with all references to files removed.
 
     meshes: by name of a mesh the path of its file, with the compiler's mesh folder in front, relative to the model's folder unless
-    absolute. notes: what was left out.
+    absolute. origins: by name of a mesh its refpos and refquat, where it has them. notes: what was left out.
     """
 
     xml: str
     meshes: dict[str, str] = field(default_factory=dict)
+    origins: dict[str, tuple[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
 
@@ -150,7 +151,8 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
         found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
-        for attribute in ("meshdir", "texturedir", "assetdir", "strippath"):
+        # The last two are of older files; MuJoCo refuses them today.
+        for attribute in ("meshdir", "texturedir", "assetdir", "strippath", "exactmeshinertia", "convexhull"):
             compiler.attrib.pop(attribute, None)
     return found
 
@@ -170,6 +172,13 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
         if element.tag == "contact" and child.tag != "exclude":
             element.remove(child)
             continue
+        if child.tag == "geom" and "mesh" in child.attrib:
+            # MuJoCo would fit a shape of another type to the placeholder of the mesh.
+            if child.get("type", "mesh") != "mesh":
+                flat.notes.append(
+                    f"mesh '{child.get('mesh')}' itself is read where a {child.get('type')} is fitted to it"
+                )
+            child.set("type", "mesh")
         if asset:
             _asset(child, flat, where)
         for attribute in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
@@ -189,6 +198,8 @@ def _asset(child: ET.Element, flat: Flat, where: Mapping[str, str]) -> None:
             file = Path(file).name if where["strip"] else file
             folder = where["folder"].rstrip("/")
             flat.meshes[given["name"]] = f"{folder}/{file}" if folder and not file.startswith("/") else file
+            if "refpos" in child.attrib or "refquat" in child.attrib:
+                flat.origins[given["name"]] = child.get("refpos", "0 0 0"), child.get("refquat", "1 0 0 0")
         given["vertex"] = TETRAHEDRON
     elif child.tag == "hfield":
         given |= {"nrow": "2", "ncol": "2", "size": "1 1 1 1"}
