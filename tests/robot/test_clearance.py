@@ -245,7 +245,7 @@ def test_a_way_that_is_called_free_is_free(name, gamma):
             continue
         until = space.free_until(ks, d[ks], space.levers(L[count])[0], *path, gamma, h, 0.0)
         x, length = np.empty(n), np.empty(n)
-        for u in np.linspace(0.0, count, 60):
+        for u in np.linspace(0.0, count, 30):
             along(*path, gamma, h, u, x, length)
             space.place(x)
             for k, end in zip(ks.tolist(), until, strict=True):
