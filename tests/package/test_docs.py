@@ -53,7 +53,7 @@ def test_examples_run(page, tmp_path, monkeypatch, capsys):
     exec(compile(code, str(page), "exec"), {"__name__": "guide"})
     for command in commands(page):
         capsys.readouterr()
-        command = re.sub(r"--seconds \d+", "--seconds 1", command)  # a search takes as long as it is given
+        command = re.sub(r"--seconds \d+", "--seconds 0.3", command)  # a search takes as long as it is given
         assert main(shlex.split(command)[1:]) == 0, command
         said = capsys.readouterr()
         assert (said.out + said.err).strip(), command

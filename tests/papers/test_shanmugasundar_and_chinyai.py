@@ -44,6 +44,8 @@ def inspection_report():
 def planar_report():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "ROUNDS", 3)  # of the times, which no test looks at
+        grid = paper.grid
+        patch.setattr(paper, "grid", lambda count: grid(count // 3))
         return paper.reproduce(count=1000)
 
 
