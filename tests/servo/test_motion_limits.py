@@ -53,9 +53,10 @@ def extremes(q, v, after, h, gamma):
     return np.minimum(np.minimum(q, after), turn), np.maximum(np.maximum(q, after), turn), np.abs(2.0 * d / h - v)
 
 
-def test_limits_hold_in_steps_of_any_length_and_between_them():
+@pytest.mark.parametrize("seed", range(3))
+def test_limits_hold_in_steps_of_any_length_and_between_them(seed):
     """With dt drawn anew each time, position and speed along the polynomial that is executed, and its acceleration."""
-    for limits, q, v, after, w, h, gamma in motions(300, 60, 0):
+    for limits, q, v, after, w, h, gamma in motions(300, 60, seed):
         low, high, speed = extremes(q, v, after, h, gamma)
         assert (after >= limits[0]).all() and (after <= limits[1]).all()
         assert (low >= limits[0] - 1e-12).all() and (high <= limits[1] + 1e-12).all()
