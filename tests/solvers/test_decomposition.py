@@ -150,7 +150,7 @@ def test_the_arcs_on_which_a_sum_is_between_bounds():
 # ----------------------------------------------------------------------------------------------------------------- decompositions
 @pytest.mark.parametrize("kind", KINDS)
 def test_branches_are_what_the_elimination_finds(kind):
-    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (12, 6)), 0
+    Q, both = np.random.default_rng(5).uniform(-np.pi, np.pi, (18, 6)), 0
     for seed in (6, 7):
         arm = arm_of(kind, seed)
         forms = make_forms(arm)
@@ -164,7 +164,7 @@ def test_branches_are_what_the_elimination_finds(kind):
             if sure:
                 both += 1
                 assert len(one) == len(two) and all(apart(two, x).min() < 1e-6 for x in one)
-    assert both > 20
+    assert both > 30
 
 
 @pytest.mark.parametrize("kind", ["wrist", "wrist at the base", "wrist, first axes meet", "three parallel"])
@@ -210,8 +210,8 @@ def test_hard_targets_are_listed_and_none_is_lost_under_a_certificate(kind):
 )
 def test_an_arm_that_is_a_little_off_is_certified_only_where_that_does_not_matter(kind, off):
     rng, unsure = np.random.default_rng(9), 0
-    Q = rng.uniform(-np.pi, np.pi, (50, 6))
-    Q[25:, 2:5] = rng.choice([0.0, np.pi], (25, 3)) + 10.0 ** rng.uniform(-9, -1, (25, 3))
+    Q = rng.uniform(-np.pi, np.pi, (100, 6))
+    Q[50:, 2:5] = rng.choice([0.0, np.pi], (50, 3)) + 10.0 ** rng.uniform(-9, -1, (50, 3))
     for seed in (10, 11):
         arm = arm_of(kind, seed, off)
         forms = make_forms(arm)
@@ -222,7 +222,7 @@ def test_an_arm_that_is_a_little_off_is_certified_only_where_that_does_not_matte
         for q, one, two, sure, both in zip(Q, split, other, certain, certain & (b == VERDICT.certain), strict=True):
             assert not sure or apart(one, q).min() < 1e-3
             assert not both or (len(one) == len(two) and all(apart(two, x).min() < 1e-3 for x in one))
-    assert unsure <= (2 if off < 1e-8 else 90)
+    assert unsure <= (2 if off < 1e-8 else 180)
 
 
 def test_a_pose_just_out_of_reach_is_no_proof(tmp_path):

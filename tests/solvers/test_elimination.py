@@ -112,7 +112,7 @@ def test_the_first_decomposition_or_an_ordering_tried_once_lists_what_was_plante
     ("general", 0), ("parallel shoulder", 1), ("wrist", 2), ("right angles", 1), ("symmetric", 8), ("offset wrist", 1),
 ])  # fmt: skip
 def test_planted_solutions_are_listed_and_certified(kind, most_open):
-    Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (50, 6))
+    Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (100, 6))
     for seed in (2, 3):
         arm = arm_of(kind, seed)
         lists, verdicts = ask(arm, Q)
@@ -146,11 +146,11 @@ def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
     """Joints at half a turn, lattices of right angles, and wrists that are straight or almost so."""
     arm, rng = arm_of(kind, 7, scale), np.random.default_rng(8)
     forms = make_forms(arm)
-    half = rng.uniform(-np.pi, np.pi, (30, 6))
-    half[rng.random((30, 6)) < 0.4] = np.pi
-    straight = rng.uniform(-np.pi, np.pi, (30, 6))
-    straight[:, 4] = rng.choice([0.0, np.pi], 30) + np.repeat([0.0, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2], 5)
-    for Q in (half, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (50, 6)), straight):
+    half = rng.uniform(-np.pi, np.pi, (60, 6))
+    half[rng.random((60, 6)) < 0.4] = np.pi
+    straight = rng.uniform(-np.pi, np.pi, (60, 6))
+    straight[:, 4] = rng.choice([0.0, np.pi], 60) + np.repeat([0.0, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2], 10)
+    for Q in (half, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (100, 6)), straight):
         lists, verdicts = ask(arm, Q, forms)
         assert not (lost(lists, Q, 1e-3) & (verdicts == VERDICT.certain)).any()
 
