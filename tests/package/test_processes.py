@@ -13,7 +13,7 @@ import robots
 
 import ik_toolkit as ik
 
-COUNT = 12
+COUNT = 8
 # The smallest kernels there are, and a script that calls them when it gets a line: what is tested is their files.
 KERNELS = "from ik_toolkit.compile.jit import cached\n" + "".join(
     f"@cached\ndef plus_{k}(x):\n    return x + {k}.0\n" for k in range(COUNT)

@@ -3,6 +3,7 @@
 import ast
 import collections
 import functools
+import re
 
 import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
@@ -56,13 +57,8 @@ def definitions(path):
 
 def named_by_text():
     """Modules that a registry, a table of commands or a lazy name loads."""
-    words = {
-        node.value
-        for path in files().values()
-        for node in ast.walk(parsed(path))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
-    ends = {word.partition(":")[0].rpartition(".")[2] for word in words if word and " " not in word}
+    words = {word for path in files().values() for word in re.findall(r'"([^"\s]+)"', path.read_text(encoding="utf-8"))}
+    ends = {word.partition(":")[0].rpartition(".")[2] for word in words}
     return {name for name in modules() if name.rpartition(".")[2] in ends}
 
 

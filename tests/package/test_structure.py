@@ -74,7 +74,7 @@ def test_parts_of_kernels_make_no_arrays():
     }
     parts: dict[str, list] = {}
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(parsed(path)):
+        for node in statements(parsed(path)):
             names = [ast.unparse(one) for one in getattr(node, "decorator_list", [])]
             for name in names:
                 methods = (

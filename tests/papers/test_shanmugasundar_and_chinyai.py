@@ -16,6 +16,7 @@ from ik_toolkit.papers.chinyai import paper
 from ik_toolkit.papers.report import Report
 from ik_toolkit.papers.shanmugasundar_2012 import formulas as printed
 from ik_toolkit.papers.shanmugasundar_2012 import paper as shan
+from ik_toolkit.papers.shanmugasundar_2012 import weld
 
 DATA = read_data("closed_form")["sample"]
 
@@ -31,13 +32,20 @@ def column(report, key, name):
 
 @pytest.fixture(scope="module")
 def inspection_report():
-    return shan.reproduce(poses=40, turns=2)
+    whole = weld.reachability
+    with pytest.MonkeyPatch.context() as patch:  # a coarse map and few poses of the welds
+        patch.setattr(weld, "reachability", lambda *given, **asked: whole(*given, **asked | {"resolution": 0.16}))
+        few = {name: tuple(x[::5] if np.ndim(x) else x for x in seam) for name, seam in weld.SEAMS.items()}
+        patch.setattr(weld, "SEAMS", few)
+        return shan.reproduce(poses=40, turns=2)
 
 
 @pytest.fixture(scope="module")
 def planar_report():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "ROUNDS", 3)  # of the times, which no test looks at
+        grid = paper.grid
+        patch.setattr(paper, "grid", lambda count: grid(count // 3))
         return paper.reproduce(count=1000)
 
 

@@ -17,7 +17,7 @@ from ik_toolkit.papers.shanmugasundar_2012.weld import Canister, inspect_weld, l
 from ik_toolkit.paths.result import PathStatus
 from ik_toolkit.solvers.closed_form.lift_windows import LiftWindow, at_lifts, lift_windows
 
-CASES = 300
+CASES = 200
 
 
 @pytest.fixture(scope="module")

@@ -209,7 +209,7 @@ MESH = '<visual><geometry><mesh filename="../a.stl"/></geometry></visual>'
 @pytest.mark.parametrize("kind", GROWING)
 def test_work_grows_with_the_size_of_the_file(kind):
     """A file four times as long takes at most about five times the work (beyond the fixed cost of a file)."""
-    few, many = (counted(robot(GROWING[kind](n))) for n in (400, 1600))
+    few, many = (counted(robot(GROWING[kind](n))) for n in (200, 800))
     assert many < 5.0 * few, (few, many)
 
 

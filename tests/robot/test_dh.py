@@ -89,7 +89,7 @@ def tables(draw):
     }
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(tables())
 def test_any_table_becomes_a_valid_urdf_of_the_same_kinematics(raw):
     table = dh_table(raw)

@@ -257,12 +257,12 @@ def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):
     assert "'m.csv': 2 of 4 rows lack joint values and are left out" in caplog.text
 
 
-def test_a_header_of_gigabytes_is_not_taken_into_memory(tmp_path):
-    """numpy takes the whole header of an array before it looks at its size: 0.3 MB of file would be 0.3 GB of memory."""
+def test_a_huge_header_is_not_taken_into_memory(tmp_path):
+    """numpy takes the whole header of an array before it looks at its size: 50 kB of file would be 100 MB of memory."""
     file = tmp_path / "header.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("xyz.npy", "w") as stream:
-        stream.write(b"\x93NUMPY\x02\x00" + (200 * 2**20).to_bytes(4, "little"))
-        for _ in range(200):
+        stream.write(b"\x93NUMPY\x02\x00" + (50 * 2**20).to_bytes(4, "little"))
+        for _ in range(50):
             stream.write(bytes(2**20))
     tracemalloc.start()
     with pytest.raises(InvalidTarget, match=r"header\.npz"):

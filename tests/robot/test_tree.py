@@ -320,7 +320,7 @@ def test_limits_and_speeds_of_a_follower_off_the_path_count():
 def test_random_trees_agree_with_the_second_fk():
     """The same trees as scripts/break/robots.py --kind tree tries by the hundred."""
     tried = 0
-    for seed in range(40):
+    for seed in range(20):
         case = random_tree(rng := np.random.default_rng([3, seed]))
         try:
             tree = Tree.load(case.text, base=case.base, tips=case.tips)
@@ -333,7 +333,7 @@ def test_random_trees_agree_with_the_second_fk():
             position, angle = pose_errors(mine, judge.fk(Q, tree.joint_names))
             assert position.max() < 1e-11 * max(tree.reach, judge.largest_offset()) and angle.max() < 1e-11
             assert not judge.outside(Q, tree.joint_names).any()
-    assert tried > 30
+    assert tried > 15
 
 
 def test_a_tree_of_one_tip_is_solved_as_its_robot_is():

@@ -43,8 +43,8 @@ def step(q, rate, x, gamma, h, limits):
 def inside_rows(x, A, b):
     """Rates near x that obey the rows, by projecting on one after the other."""
     for _ in range(20):
-        for row, most in zip(A, b, strict=True):
-            x = x - row * max(row @ x - most, 0.0) / (row @ row)
+        for k in np.flatnonzero(A @ x > b):
+            x = x - A[k] * max(A[k] @ x - b[k], 0.0) / (A[k] @ A[k])
     return x
 
 

@@ -188,7 +188,7 @@ def test_a_port_in_use_is_an_error():
         pytest.param("view planar_2r --no-open", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("panel planar_2r --no-open", signal.SIGTERM, marks=pytest.mark.slow),
         ("panel planar_2r --no-open", signal.SIGINT),
-        ("solve planar_2r --xyz 1 1 0 --view", signal.SIGTERM),
+        pytest.param("solve planar_2r --xyz 1 1 0 --view", signal.SIGTERM, marks=pytest.mark.slow),
     ],
 )
 def test_no_server_is_left_after_a_signal(command, end):

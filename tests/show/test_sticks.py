@@ -68,7 +68,7 @@ def bars_of(scene):
 
 
 def test_the_drawn_chain_of_random_robots_leads_from_the_base_to_the_tip():
-    for seed, robot in random_robots(30):
+    for seed, robot in random_robots(12):
         scene = Scene(robot)
         R, base = scene.body.T_world_base[:3, :3], scene.body.T_world_base[:3, 3]
         for q in robot.random_q(np.random.default_rng(seed), 2):
@@ -81,7 +81,7 @@ def test_the_drawn_chain_of_random_robots_leads_from_the_base_to_the_tip():
 
 def test_every_tip_of_a_random_tree_ends_a_chain():
     drawn = 0
-    for seed in range(20):
+    for seed in range(8):
         case = random_tree(np.random.default_rng([44, seed]))
         try:
             tree = ik.Tree.load(case.text, base=case.base, tips=case.tips)
@@ -93,7 +93,7 @@ def test_every_tip_of_a_random_tree_ends_a_chain():
         base = scene.body.T_world_base
         for tip in scene.body.tips(q)[:, :3, 3]:
             check_chain(bars_of(scene), base[:3, 3], tip, tree.reach + np.abs(tip).max())
-    assert drawn > 15
+    assert drawn > 5
 
 
 @pytest.mark.parametrize("text", [MIMIC, SLIDES], ids=["mimic", "slides"])

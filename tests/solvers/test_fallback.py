@@ -85,13 +85,13 @@ def test_the_best_configuration_of_a_planar_arm():
     grid = np.stack(np.meshgrid(*(np.linspace(a, b, 400) for a, b in zip(robot.lower, robot.upper, strict=True))), -1)
     tips = robot.chain.forward(grid.reshape(-1, 2))[0][:, :3, 3]
     failed = 0
-    for _ in range(100):
+    for _ in range(50):
         target = np.array([*rng.uniform(-1.2, 1.2, 2) * robot.reach, 0.0])
         result = ik.solve(robot, target)
         failed += not result.success
         nearest = np.linalg.norm(tips - target, axis=1).min()
         assert result.position_error <= nearest + 1e-9
-    assert failed > 25
+    assert failed > 12
 
 
 def test_a_loose_tolerance_is_used_before_anything_is_called_impossible(arm):

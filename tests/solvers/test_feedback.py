@@ -233,7 +233,7 @@ def test_pid_starts():
 # ------------------------------------------------------------------------------------------- the tuned presets' gates
 def test_tuned_presets_reach_their_gates_on_fresh_goals():
     robot = robots.load("hydrolek_7w")
-    sets = [tips(robot, 1000, [2016, k]) for k in range(10)]
+    sets = [tips(robot, 1000, [2016, k]) for k in range(4)]
     for rule, gate in (
         (ik.StateSpace.preset("hydrolek-7w"), 0.997),
         (ik.StateSpace.preset("hydrolek-7w-delayed"), 0.997),

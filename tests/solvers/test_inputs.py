@@ -209,7 +209,7 @@ def test_an_axis_target_is_looked_at_when_it_is_made():
 def test_a_buffer_that_an_iterator_refills_gives_each_row_its_own_answer(share, kind):
     robot = load(ARM)
     judge = SecondFK(robot.urdf, base=robot.base, tip=robot.tip)
-    T = sample(robot, 4000, seed=5)[1].astype(kind)
+    T = sample(robot, 1500, seed=5)[1].astype(kind)
     buffer = np.empty((100, 4, 4), dtype=kind)
 
     def chunks():

@@ -27,7 +27,7 @@ offset = st.floats(-1.0, 1.0)
 triple = st.tuples(offset, offset, offset)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     triple, st.tuples(angle, angle, angle), length, length, angle, angle, offset, offset, st.booleans(), angle, angle
 )
@@ -60,7 +60,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
         assert len(found) == 2 and apart([q], found.q).min() < 1e-6
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(
     triple, st.tuples(angle, angle, angle), length, length, triple, st.tuples(angle, angle, angle),
     st.lists(st.sampled_from((1, -1)), min_size=7, max_size=7), st.lists(angle, min_size=7, max_size=7), st.booleans(), offset,

@@ -26,7 +26,7 @@ def test_reachable_targets_are_solved(tree):
     rng = np.random.default_rng(20)
     solver = ik.Solver(tree)
     solved = 0
-    for _ in range(500):
+    for _ in range(150):
         T = poses(tree, tree.random_q(rng))
         result = solver(np.array(T))
         solved += result.success
@@ -35,7 +35,7 @@ def test_reachable_targets_are_solved(tree):
             for actual, target in zip(direct(tree, result.q), T, strict=True):
                 assert np.linalg.norm(actual[:3, 3] - target[:3, 3]) <= 1e-6
                 assert np.linalg.norm(pin.log3(actual[:3, :3].T @ target[:3, :3])) <= 1e-6
-    assert solved >= 0.99 * 500
+    assert solved >= 0.99 * 150
 
 
 def test_tips_may_be_given_in_any_order(tree):

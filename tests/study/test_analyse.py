@@ -105,10 +105,10 @@ def test_planar_arms_are_judged_in_their_plane():
     assert margins == pytest.approx(least.max(axis=1).min(axis=1), rel=1e-2)
 
 
-def test_no_counterexample_in_300_random_loops_and_margins(monkeypatch):
+def test_no_counterexample_in_random_loops_and_margins(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    tested, wrong = importlib.import_module("theory_burrell").search(300)
-    assert tested.total() == 300 and len(tested) == 6 and not wrong, "\n".join(wrong)
+    tested, wrong = importlib.import_module("theory_burrell").search(120)
+    assert tested.total() == 120 and len(tested) == 6 and not wrong, "\n".join(wrong)
 
 
 def test_what_is_no_configuration_is_refused():

@@ -153,8 +153,8 @@ def test_some_studies_are_for_one_tip(call):
 @pytest.mark.parametrize("task", ["pose", "position"])
 def test_several_tips_meet_the_same_rows(task):
     both = tree()
-    found = ik.benchmark(both, ["lm", "dls", "newton", "inspection"], targets=25, task=task, seed=2)
-    assert [row.solver for row in found.rows] == ["lm", "dls"] and {name for _, name in found.skipped} == {
+    found = ik.benchmark(both, ["lm", "sqp", "newton", "inspection"], targets=25, task=task, seed=2)
+    assert [row.solver for row in found.rows] == ["lm", "sqp"] and {name for _, name in found.skipped} == {
         "newton",
         "inspection",
     }

@@ -115,7 +115,7 @@ def test_one_small_run_against_a_process_of_its_own(tmp_path):
     output = tmp_path / "solve.json"
     command = [
         sys.executable, str(BENCHMARKS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",
-        "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "2", "--rounds", "1", "--starts", "near",
+        "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "1", "--rounds", "1", "--starts", "near",
         "--tolerances", "strict", "-o", str(output),
     ]  # fmt: skip
     subprocess.run(command, check=True, capture_output=True)

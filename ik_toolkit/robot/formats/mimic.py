@@ -168,11 +168,12 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     loose: dict[str, str] = {}
 
     def path(joint: str) -> list[str]:
-        walk = [joint]
+        walk: dict[str, None] = {}
         # Links may be joined in a circle, which is reported elsewhere.
-        while ends[walk[-1]][0] in above and above[ends[walk[-1]][0]] not in walk:
-            walk.append(above[ends[walk[-1]][0]])
-        return walk[::-1]
+        while joint and joint not in walk:
+            walk[joint] = None
+            joint = above.get(ends[joint][0], "")
+        return [*walk][::-1]
 
     for follower, tie in tied.items():
         down, up = path(follower), path(tie.leader)

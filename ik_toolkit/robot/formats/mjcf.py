@@ -5,6 +5,7 @@ ball joints become revolute joints, loops become constraints that results are ch
 left out. Keyframes become named configurations, sites become links.
 """
 
+import functools
 import importlib.util
 import math
 import tempfile
@@ -63,8 +64,9 @@ def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path
     return _Writer(model, path.stem if path else "", flat).read()
 
 
+@functools.lru_cache(maxsize=4)  # A robot is often loaded again, and the process takes a third of a second.
 def _compile(xml: str, name: str) -> dict[str, Any]:
-    """Compile MJCF text in a subprocess and return the model as MuJoCo describes it."""
+    """Compile MJCF text in a subprocess and return the model as MuJoCo describes it, which must not be changed."""
     silent = "it crashed MuJoCo, or took too much time or memory"
     # MuJoCo writes its log to the current folder, so the process gets one of its own.
     with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:
