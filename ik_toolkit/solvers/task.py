@@ -1,7 +1,7 @@
 """Targets as the compiled search takes them, and which part of their errors counts, there and in Pinocchio's check."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -147,6 +147,8 @@ def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: 
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
     """Return the Task record of each tip for the compiled search. Raises InvalidOption if options and kinds of target disagree."""
     scale, tasks = robot.chain.scale, []
+    if all(kind in (KIND.position, KIND.free) for kind in kinds):
+        _refuse_orientation(what_counts(robot, o), o)
     given = zip(
         robot.tips,
         kinds,
@@ -194,6 +196,20 @@ def free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | No
     if counts.free_turn is not None:
         raise InvalidOption(f"{at}an axis target frees the turn about its axis; leave free_turn out")
     return kind[1]
+
+
+def _refuse_orientation(counts: Sequence[Counts], o: Options) -> None:
+    """Raise InvalidOption if an option is about orientation only, which positions leave free."""
+    slack = [one.slack or NONE for one in counts]
+    useless = {
+        "free_turn": any(one.free_turn is not None for one in counts),
+        "priority": bool(o.priority) and all(group == "orientation" for _, group in o.priority[0]),
+        "slack": any(any(half[3:]) for half in slack) and not any(any(half[:3]) for half in slack),
+    }
+    for name in (name for name, given in useless.items() if given):
+        raise InvalidOption(
+            f"{name} has no effect on a position, which leaves orientation free; leave it out, or give a pose"
+        )
 
 
 def _require_position(counts: Counts, at: str) -> None:

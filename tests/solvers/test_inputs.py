@@ -257,6 +257,21 @@ def test_a_position_has_no_rotation_to_weigh(weights):
     assert ik.solve(robot, xyz, mask=(1, 1, 0, 0, 0, 0)).success
 
 
+@pytest.mark.parametrize("options", [{"free_turn": "z"}, {"priority": "orientation"}, {"slack": (0, 0, 0, 0.1, 0, 0)}])
+def test_what_is_about_orientation_alone_is_refused_for_positions(options):
+    tree = ik.Tree.load("brokk_hydrolek")
+    (left, right), at = tree.tips, tree.fk(tree.home)
+    places = {left: at[left].translation, right: at[right].translation}
+    (name,) = options
+    for call in (
+        lambda: ik.solve(tree, places, **options),
+        lambda: ik.solve_batch(tree, {tip: [place] for tip, place in places.items()}, **options),
+    ):
+        with pytest.raises(InvalidOption, match=f"{name} has no effect on a position"):
+            call()
+    assert ik.solve(tree, {**places, left: at[left]}, q0=tree.home, **options).success  # One tip has an orientation.
+
+
 @pytest.mark.parametrize("name", ["limits", "closest", "history", "check"])
 def test_one_is_not_true_whatever_was_asked_before(name):
     robot, T = good()
