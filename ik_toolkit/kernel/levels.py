@@ -314,7 +314,7 @@ def step_by_levels(p, e, level, far):
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
-    base = 0 if far else max(1, -math.floor(e.ee))  # the levels below this one are met, see `level_search.rank_errors`
+    base = 0.0 if far else max(1.0, -float(math.floor(e.ee)))  # the levels below this one are met, see `level_search.rank_errors`
     for g in range(level.shape[0]):
         top = max(top, level[g])
         value += p.group(e, g) if level[g] < base else 0.0
@@ -335,7 +335,7 @@ def step_by_levels(p, e, level, far):
             k = onto_constraint(s, level, base, k, value, bench)
             if released > 0:  # What is left within the tolerance must not push the released joints back out.
                 clear(s.dq)
-        for c in range(base, int(top) + 1):
+        for c in range(int(base), int(top) + 1):
             slope_of_level(p, c, level, bench.gradient)
             if not far:
                 multipliers(level, base, count, bench)
