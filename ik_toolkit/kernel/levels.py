@@ -314,7 +314,9 @@ def step_by_levels(p, e, level, far):
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
-    base = 0.0 if far else max(1.0, -float(math.floor(e.ee)))  # the levels below this one are met, see `level_search.rank_errors`
+    base = (
+        0.0 if far else max(1.0, -float(math.floor(e.ee)))
+    )  # the levels below this one are met, see `level_search.rank_errors`
     for g in range(level.shape[0]):
         top = max(top, level[g])
         value += p.group(e, g) if level[g] < base else 0.0
