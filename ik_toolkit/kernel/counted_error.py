@@ -338,7 +338,7 @@ def add_curvature(state, J, first, e, c, least, H):
         cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
-    none, weight, cosine = V3(0.0, 0.0, 0.0), 1.0, 1.0
+    none = V3(0.0, 0.0, 0.0)
     m = M3(none, none, none)
     if least[1] > 0.0:
         weight = 1.0 if kind == KIND.pose else even_weight(task)

@@ -79,7 +79,7 @@ class StepTables(NamedTuple):
     work: Array
     turned: Array  # the reflections of `linalg.triangle`, or eigenvectors of `reduced`
     reduced: Array  # second derivatives of a level in the null-space basis, later their eigenvalues on the diagonal
-    border: Array  # (r, .) the Jacobian of the free joints, for the r errors of level 0
+    border: Array  # (r, .) the Jacobian of the free joints, for the r errors of the constraint
     triangle: Array  # (r, r) Cholesky factor of border border', damped
     gradient: Array  # (n,) gradient of half the squared errors of a level
     rhs: Array  # right-hand side of a linear system
@@ -88,7 +88,7 @@ class StepTables(NamedTuple):
     asked: Array  # (n,) joint weights before any joint was held
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
-    multiplier: Array  # (m,) minus the multipliers of level 0
+    multiplier: Array  # (m,) minus the multipliers of the constraint
     row: Array  # scratch: a vector of the null space
     scales: Array  # factors of the reflections of `linalg.triangle`
     order: Array  # order of the columns in `linalg.triangle`
@@ -197,7 +197,7 @@ def down_level(s, k, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
     Directions whose curvature is below QUADRATIC.flat are left to the next level: the basis (n, k) is replaced by them, unless this
-    is the last level. The step is shortened to end inside the limits (box); the part of the step that reaches level 0 is not.
+    is the last level. The step is shortened to end inside the limits (box); the part of the step onto the constraint is not.
 
     Returns:
         The number of columns of the new basis, and the squared norm of the gradient in the old basis.
@@ -314,9 +314,8 @@ def step_by_levels(p, e, level, far):
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
-    base = (
-        0.0 if far else max(1.0, -float(math.floor(e.ee)))
-    )  # the levels below this one are met, see `level_search.rank_errors`
+    # Level 0 and all levels that are met, which `level_search.rank_errors` tells, are the constraint: those below `base`.
+    base = 0.0 if far else max(1.0, -float(math.floor(e.ee)))
     for g in range(level.shape[0]):
         top = max(top, level[g])
         value += p.group(e, g) if level[g] < base else 0.0

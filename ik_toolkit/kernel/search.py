@@ -69,7 +69,10 @@ class SearchInput(NamedTuple):
 
 @compiled
 class Patience(NamedTuple):
-    """Limits of an attempt, which is given up when its squared error exceeds ceiling * decay^iteration."""
+    """Limits of an attempt, which is given up when its squared error exceeds ceiling * decay^iteration.
+
+    The iterations count from the last one in which level 0 was met, if errors have an order of priority.
+    """
 
     iterations: float  # highest number of iterations
     ceiling: float  # the bound at the start [squared error]
@@ -171,6 +174,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
         if needs_jacobian:
             p.jacobian(e)
         k += 1.0
+        # Below 0 is a rank of `level_search.rank_errors`: level 0 is met.
         ceiling = patience.ceiling if e.ee < 0.0 else ceiling * patience.decay
         copy(job.weights, w)
         p.desk.spent[0] = count

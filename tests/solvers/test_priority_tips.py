@@ -52,10 +52,10 @@ def test_what_three_levels_leave_is_a_minimum():
     tree = ik.Tree.load("brokk_hydrolek")
     P, rng = tree.fk(tree.home), np.random.default_rng(5)
     met = 0
-    for _ in range(8):
+    for _ in range(20):
         T = {tip: pose.homogeneous for tip, pose in P.items()}
-        T["left_tip"][:3, 3] += rng.uniform(-0.2, 0.2, 3)
-        T["left_tip"][:3, :3] = pin.exp3(rng.uniform(-1.5, 1.5, 3))
+        T["left_tip"][:3, 3] += rng.uniform(-0.3, 0.3, 3)
+        T["left_tip"][:3, :3] = pin.exp3(rng.uniform(-3.0, 3.0, 3))
         result = ik.solve(tree, T, priority=["right_tip", ("left_tip", "position")], q0=tree.home, restarts=0)
         met += result.success and result.position_errors["left_tip"] < 1e-6
-    assert met == 8
+    assert met >= 19  # 17, if the second level never joins the constraint

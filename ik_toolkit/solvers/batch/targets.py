@@ -70,9 +70,8 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
-    if (
-        isinstance(targets, np.ndarray) and targets.dtype == object and targets.ndim == 1
-    ):  # as numpy.array makes of AxisTargets
+    # numpy.array makes such an array of AxisTargets.
+    if isinstance(targets, np.ndarray) and targets.dtype == object and targets.ndim == 1:
         targets = targets.tolist()
     if isinstance(targets, list | tuple) and targets and all(map(is_by_name, targets)):
         targets = _columns(robot, targets)
