@@ -187,7 +187,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     return nearest
 
 
-def next_to(plan: Plan) -> Plan:
+def follower_of(plan: Plan) -> Plan:
     """Return the Plan with one attempt, which changes no joint by more than the default largest step."""
     return plan.varied(restarts=0, follow=STEP[0])
 
@@ -197,7 +197,7 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
 
     Where a minimum of the lower levels ends, the joints move to another one in steps, as far as the first level allows.
     """
-    robot, single = plan.robot, next_to(plan)
+    robot, single = plan.robot, follower_of(plan)
     Q, good = np.empty((len(T), robot.n)), np.zeros(len(T), dtype=bool)
     for t in range(len(T)):
         row = single.solve(T[t : t + 1], kinds, q[None], True)
@@ -275,7 +275,7 @@ class HalfTurns:
         return T
 
 
-def pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
+def read_pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
     """Return the two positive numbers of the option `name`; a single number is used for both. Raises InvalidOption."""
     if value is None:
         return default
@@ -286,10 +286,10 @@ def pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, fl
     return first, second
 
 
-def between(value: Any, options: Options) -> tuple[float, float]:
+def read_path_tolerance(value: Any, options: Options) -> tuple[float, float]:
     """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if it is not above the poses' own tolerance."""
     at = (options.position_tolerance, options.orientation_tolerance)
-    found = pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
+    found = read_pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
     for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
         if not found[k] > at[k]:
             raise InvalidOption(

@@ -29,7 +29,16 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import errors_at_rows, freedom
-from .path_problem import STEP, HalfTurns, Problem, all_reached, between, nearest_poses, next_to, pair
+from .path_problem import (
+    STEP,
+    HalfTurns,
+    Problem,
+    all_reached,
+    follower_of,
+    nearest_poses,
+    read_pair,
+    read_path_tolerance,
+)
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
@@ -104,7 +113,7 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
     T, kinds = _read(robot, poses)
-    step, tolerance = pair("max_step", max_step, STEP), between(path_tolerance, solver.options)
+    step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     q0, q_end, notice = _ends(solver.plan_for(kinds), q0=q0, q_end=q_end)
     wanted, places, met, follower = None, None, None, None
@@ -187,7 +196,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     if met is None or met.reconfigurations:
         T = nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, given["q0"])
     all_counts = {name: value for name, value in exact.items() if name not in ("mask", "free_turn", "frame")}
-    return met, Solver(robot, seed=given["seed"], **all_counts), next_to(solver.plan_for(kinds)), T, places
+    return met, Solver(robot, seed=given["seed"], **all_counts), follower_of(solver.plan_for(kinds)), T, places
 
 
 def _fewer(met: PathResult | None, made: PathResult) -> PathResult:

@@ -16,7 +16,7 @@ from ..solvers.registry import GENERAL, find_row
 from ..text import angle, duration, figure, length
 from ..validate import positive
 from .contact import clearance_along, connect
-from .path_problem import between
+from .path_problem import read_path_tolerance
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 # least number of grid points of the time law of a smooth piece; ten times as many for a tip speed that is to be kept
@@ -172,7 +172,7 @@ def _allowed(result: Any, path_tolerance: Any) -> np.ndarray:
 
     path_tolerance: (m, rad) for all chords, or None for the default of `PathResult.retime`. Raises InvalidOption.
     """
-    pair = result.path_tolerance if path_tolerance is None else between(path_tolerance, result.options)
+    pair = result.path_tolerance if path_tolerance is None else read_path_tolerance(path_tolerance, result.options)
     lacking = np.nanmax(result.continuity.lacking, axis=1, initial=0.0)
     allowed = np.tile((pair + lacking)[:, None], max(len(result.targets) - 1, 1))
     if path_tolerance is not None or result.tolerance_given or len(result.targets) < 2:
