@@ -132,7 +132,7 @@ def size_of_level(p, e, c, level):
     return min(max(value, allowed, QUADRATIC.small), 1.0)
 
 
-@inner
+@inline
 def hessian_of_level(p, c, level, bench):
     """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it."""
     n = p.desk.q.shape[0]
@@ -146,7 +146,7 @@ def hessian_of_level(p, c, level, bench):
     p.curvature(bench.pull, bench.chosen, bench.hessian)
 
 
-@inner
+@inline
 def onto_constraint(s, level, base, k, value, bench):
     """Write to s.dq the damped step onto a constraint, to bench.basis a basis of its null space; return how many vectors that has.
 
@@ -192,7 +192,7 @@ def onto_constraint(s, level, base, k, value, bench):
     return k - rank
 
 
-@inner
+@inline
 def down_level(s, k, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
@@ -245,7 +245,7 @@ def down_level(s, k, last, bench, box):
     return left, steep
 
 
-@inner
+@inline
 def multipliers(level, base, k, bench):
     """Write minus the Lagrange multipliers of the levels below `base`, for the gradient of another level, to bench.multiplier.
 
@@ -288,7 +288,7 @@ def inverse_multipliers(s, level, k, bench):
                 out[h] += s.J[int(free[x]), h] * mu[x]
 
 
-@inner
+@inline
 def wrongly_held(s, size, bench, box):
     """Return the joint held at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none.
 
