@@ -124,6 +124,24 @@ def test_half_planes_that_contradict_are_loosened_by_the_least():
     assert seen > many(20) // 5
 
 
+@pytest.mark.parametrize("least", [1e-9, 1e-8, 1e-7])
+def test_an_almost_singular_task_is_solved(least):
+    """Where rows of different weight differ by rounding from dependent ones, the errors are as small as SciPy finds them."""
+    for seed in range(many(60)):
+        rng = np.random.default_rng(seed)
+        U, s, Vt = np.linalg.svd(rng.normal(size=(9, 6)), full_matrices=False)
+        s[-1] = least
+        J, weight = U @ np.diag(s) @ Vt, np.repeat([1.0, 100.0], 3)
+        low, high = -rng.uniform(0.02, 0.5, 9), rng.uniform(0.02, 0.5, 9)
+        step, v = Step(J, low, high, weight=weight, step=0.005), rng.normal(size=6)
+        for _ in range(3):
+            x = step(v, 0.1 * rng.normal(size=9))
+            best = lsq_linear((J * weight).T, weight * v, (low, high), method="bvls", tol=1e-14).x
+            assert step.status == OUTCOME.short
+            assert np.linalg.norm(weight * (J.T @ x - v)) <= 1.2 * np.linalg.norm(weight * (J.T @ best - v))
+            v = v + 0.1 * rng.normal(size=6)
+
+
 def test_columns_that_do_not_count():
     rng = np.random.default_rng(9)
     J, v, low, high = problem(rng, 7)
