@@ -25,6 +25,7 @@ from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.plan import Plan
 from ..solvers.solve import Solver, require_robot
+from ..solvers.task import kernel_tasks
 from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
@@ -187,6 +188,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
 
     What a mask or a free turn leaves free at the nearest poses is kept, because elsewhere other poses are the nearest.
     """
+    kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority that such targets give nothing to do
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):

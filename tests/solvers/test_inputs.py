@@ -266,6 +266,7 @@ def test_what_is_about_orientation_alone_is_refused_for_positions(options):
     for call in (
         lambda: ik.solve(tree, places, **options),
         lambda: ik.solve_batch(tree, {tip: [place] for tip, place in places.items()}, **options),
+        lambda: ik.solve_path(tree, {tip: [place, place + 0.01] for tip, place in places.items()}, **options),
     ):
         with pytest.raises(InvalidOption, match=f"{name} has no effect on a position"):
             call()
