@@ -185,7 +185,8 @@ class PathResult:
         if (suffix := file.suffix.lower()) == ".json":
             write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
         elif suffix == ".npz":
-            arrays: dict[str, Any] = {"targets": self.targets, "q": self.q, "position_error": self.position_error}
+            targets = self.targets if len(self.robot.tips) > 1 else self.targets[:, 0]  # as files of poses have them
+            arrays: dict[str, Any] = {"targets": targets, "q": self.q, "position_error": self.position_error}
             arrays |= {} if self.orientation_error is None else {"orientation_error": self.orientation_error}
             arrays |= {"curve": self.curve, "at": self.at, "tips": np.array(self.robot.tips)}
             arrays["reconfigurations"] = np.array([one.index for one in self.reconfigurations], dtype=int)

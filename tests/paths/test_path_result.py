@@ -85,7 +85,8 @@ def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
     assert told["curve"][1] == [0.05, 0.1] and told["curve"][4] == [None, None]
     assert json.loads(result.save(tmp_path / "a.json").read_text()) == told
     with np.load(result.save(tmp_path / "a.npz")) as file:
-        for name in ("targets", "q", "position_error", "orientation_error", "curve", "at"):
+        np.testing.assert_array_equal(file["targets"], result.targets[:, 0], err_msg="as in a file of poses of one tip")
+        for name in ("q", "position_error", "orientation_error", "curve", "at"):
             np.testing.assert_array_equal(file[name], getattr(result, name))
         assert file["tips"].tolist() == ["tool"] and file["joint_names"].tolist() == ["joint_1", "joint_2"]
     text = result.save(tmp_path / "a.csv").read_text().splitlines()
