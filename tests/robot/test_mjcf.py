@@ -89,6 +89,17 @@ def test_followers_of_equalities(arm):
     assert np.isinf(finger.velocity_limits).all() and not any("rad/s" in note for note in finger.notes)
 
 
+def test_settings_of_contacts_that_are_not_used_are_said(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        "<mujoco><option><flag contact='disable'/></option><worldbody><geom name='floor' type='plane' size='1 1 1'/><body name='a'>"
+        "<joint name='j'/><geom name='g' size='.1'/></body></worldbody>"
+        "<contact><pair geom1='floor' geom2='g'/></contact></mujoco>"
+    )
+    notes = ik.Robot.load(file).notes
+    assert {"a <pair> of <contact> is left out", "that contacts are disabled is not used"} <= set(notes)
+
+
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
     robot = ik.Robot.load(arm, tip="tool")
     assert "the loop 'connect lower and column' is left open" in caplog.text

@@ -107,6 +107,8 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
     _check_copies(root)
     flat = Flat("")
     folders_of = _directories(root)
+    if any(flag.get("contact") == "disable" for flag in root.iter("flag")):
+        flat.notes.append("that contacts are disabled is not used")
     for section in list(root):
         if section.tag not in KEPT:
             root.remove(section)
@@ -171,6 +173,7 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
             continue
         if element.tag == "contact" and child.tag != "exclude":
             element.remove(child)
+            flat.notes.append(f"a <{child.tag}> of <contact> is left out")
             continue
         if child.tag == "geom" and "mesh" in child.attrib:
             # MuJoCo would fit a shape of another type to the placeholder of the mesh.
