@@ -133,7 +133,7 @@ def test_a_ghost_is_complete_in_every_frame_of_an_animation(arm):
 
 
 def colors(scene, name):
-    told = [one for one in scene.window.snapshot() if one["path"].startswith(f"/meshcat/{name}/")]
+    told = [one for one in scene.window.snapshot(scene.window.paths) if one["path"].startswith(f"/meshcat/{name}/")]
     return {
         (one["color"], one["opacity"]) if one["type"] == "copy" else
         (one["object"]["materials"][0]["color"], one["object"]["materials"][0]["opacity"])
