@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import IKError
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
-from ...text import how_many
+from ...text import how_many, parameter
+from ...validate import positive
 from ..body import Body
 from .connection import PLAIN, Past, Visit, empty
 from .learn_tab import Learn
@@ -267,13 +267,7 @@ class PanelPage(Visit):
         fields = s.fields()
         typed = {name: handle.value for name, handle in self.typed_parameters.items()}
         s.parameters = {name: text for name, text in typed.items() if text.strip() != str(fields[name])}
-        try:
-            tolerance = float(self.tolerance.value)
-        except ValueError:
-            tolerance = -1.0
-        if not 0.0 < tolerance < 1.0:
-            raise IKError(f"the tolerance must be a number above 0 and below 1, not '{self.tolerance.value}'")
-        s.tolerance = tolerance
+        s.tolerance = positive(parameter("tolerance", self.tolerance.value), "the tolerance")
         return self._joined({goal.tip: goal.typed() for goal in self.goals})
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:

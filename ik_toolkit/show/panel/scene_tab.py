@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InvalidTarget
 from ...solvers.solve import Solver
 from ...style import BAD
 from ...text import figure, length, vector
@@ -44,10 +43,8 @@ class Around:
         self.changed()
 
     def add(self) -> None:
-        """Add a box of the typed size beside the arm, clear of it. Raises InvalidTarget if the size is wrong."""
+        """Add a box of the typed size beside the arm, clear of it. Raises InvalidTarget, InvalidOption."""
         size = vector(self.size.value, "the size of the box x y z [m]", 3)
-        if min(size) <= 0.0:
-            raise InvalidTarget("the size of the box x y z [m] must be positive")
         s, clear = self.session, CLEAR * self.stage.size
         name = s.add_box(size, np.eye(4))
         for T in self.stage.spots(size):
