@@ -109,8 +109,7 @@ class Visit:
         self.goals: list[Goal] = []
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # a server, unlike a client, has no camera
-            client.camera.on_update(lambda _: self._resized())
+        client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:
         """End the visitor's thread."""

@@ -278,22 +278,15 @@ class PanelPage(Visit):
         target = self._typed()
         self.found.hide()
         self.say("solving ... (a method's first use compiles it, some seconds)")
-        result = self.session.solve(target)
-        self._verdict()
-        self.chart.show(result)
-
-    def _verdict(self) -> None:
-        result = self.session.result
-        if result is None:
-            return
+        result, left = self.session.solve(target), self.session.followed
         self.show()
-        left = self.session.followed
         if left is not None:
             self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
         near = "" if left is None else f" {as_sentence(left.message)}"
         self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
         self._show_figures(advice)
+        self.chart.show(result)
 
     def _show_figures(self, advice: str = "") -> None:
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
@@ -354,4 +347,5 @@ class PanelPage(Visit):
 
     def _show_frames(self, visible: bool) -> None:
         self.frames = visible
-        self.stage.show_frames(visible)
+        for frame in self.stage.axes:
+            frame.visible = visible

@@ -105,7 +105,7 @@ class Handle:
 
 
 class Stage:
-    """The drawing of a robot in a viser client (or server), with a handle for the target of each tip."""
+    """The drawing of a robot in a viser client, with a handle for the target of each tip."""
 
     def __init__(
         self,
@@ -266,16 +266,9 @@ class Stage:
         ball.visible = visible
         _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
 
-    def show_frames(self, visible: bool) -> None:
-        """Show or hide the joints' axes."""
-        for frame in self.axes:
-            frame.visible = visible
-
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
-        camera = getattr(self.client, "camera", None)
-        if camera is None:  # a server, unlike a client, has no camera
-            return
+        camera = self.client.camera
         # [pixels] the picture is as wide as the page until the controls are docked beside it
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
@@ -286,9 +279,7 @@ class Stage:
     @np.errstate(all="ignore")  # a page may send any numbers for camera and targets
     def keep_in_view(self) -> None:
         """Move the camera back along its viewing direction until all targets are in view, and later forward again."""
-        camera = getattr(self.client, "camera", None)
-        if camera is None:
-            return
+        camera = self.client.camera
         seen = [*(handle.gizmo for handle in self.handles if handle.gizmo.visible), *self.boxes.values()]
         goals = np.array([gizmo.position for gizmo in seen])
         w, x, y, z = camera.wxyz
