@@ -192,7 +192,10 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 
 
 def draw_solve(scene: Any, result: Any) -> None:
-    """Animate the iterations of a solve (see `Scene.converge`)."""
+    """Animate the iterates of the attempt that found a Result with history, ending there.
+
+    Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
+    """
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
@@ -219,7 +222,7 @@ def draw_solve(scene: Any, result: Any) -> None:
 
 
 def draw_run(scene: Any, result: Any) -> None:
-    """Animate a tracking run (see `Scene.follow`)."""
+    """Animate a tracking run in real time, with its trail and the requested path."""
     rows = thin_rows(len(result.t), MAX_FRAMES)
     wide = 0.005 * scene._extent()
     ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))

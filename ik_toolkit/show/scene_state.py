@@ -1,8 +1,7 @@
 """Contents of a scene by name: robots and their copies, bounding boxes, legend entries, and the drawings of a result."""
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -205,13 +204,6 @@ class SceneState(Unique):
             self._placed[name] = poses[:1]
 
     # ---------------------------------------------------------------------------------------------- results and text
-    @contextmanager
-    def _with_result(self) -> Iterator[None]:
-        """Record the names of what is drawn in the `with` block as belonging to a result."""
-        before = {*self._boxes}
-        yield
-        self._shown |= {*self._boxes} - before
-
     def _forget(self, those: set[str]) -> None:
         """Remove what belonged to a result, with its caption and animation."""
         self._stop()

@@ -265,8 +265,8 @@ BAD = [
     lambda s: s.update(s.robot.home, [1.0]), lambda s: s.update(None), lambda s: s.animate(None), lambda s: s.ghosts(None),
     lambda s: s.update(s.robot.home, {"tool": [NAN] * 3}),
     lambda s: s.update(s.robot.home, cloud=[1.0]), lambda s: s.update(s.robot.home, obstacles=4),
-    lambda s: s.update(s.robot.home, 5), lambda s: s.update(object()), lambda s: s.converge(s.robot.home),
-    lambda s: s.controls("yes"), lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
+    lambda s: s.update(s.robot.home, 5), lambda s: s.update(object()),
+    lambda s: s.controls("yes"), lambda s: s.save("x.png"), lambda s: s.save(5),
 ]  # fmt: skip
 
 
