@@ -41,9 +41,9 @@ SECONDS = 12.0  # [s] duration of the animation of a motion without times
 class ShownMotion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the path, NaN where there is none, with name
-    and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted; lines:
-    text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
+    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the tip path, NaN where there is none, with
+    name and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted;
+    lines: text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -71,6 +71,15 @@ def of_path(result: Any) -> ShownMotion:
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
         (f"{result.status.name}: {result.message}",), result.collision,
     )  # fmt: skip
+
+
+def of_run(run: Any) -> ShownMotion:
+    """Convert a TrackResult to a ShownMotion without values."""
+    rows = thin_rows(len(run.t), MAX_FRAMES)
+    labels = [f"t = {run.t[k]:.2f} s, error {length(run.position_error[k])}" for k in rows]
+    said = f"{run.method} at {1 / run.dt:.4g} Hz: {run.message or run.status.value}"
+    wanted = run.target_xyz[rows].reshape(len(rows), -1, 3)
+    return ShownMotion(run.q[rows], run.t[rows], labels, np.full(len(rows), np.nan), "", "", wanted, lines=(said,))
 
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
@@ -105,11 +114,13 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
 
 
 def motion_of(what: Any) -> ShownMotion | None:
-    """Convert a PathResult or a Trajectory to a ShownMotion; return None for anything else."""
+    """Convert a PathResult, a Trajectory or a TrackResult to a ShownMotion; return None for anything else."""
     if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
         return of_path(what)
+    if hasattr(what, "target_xyz"):
+        return of_run(what)
     return of_trajectory(what) if hasattr(what, "ddq") else None
 
 
@@ -169,10 +180,7 @@ def model_of(what: Any, motion: ShownMotion | None) -> Any:
 
 def draw_result(scene: Any, what: Any, motion: ShownMotion | None) -> None:
     """Draw what belongs to a result: its motion and its caption."""
-    if hasattr(what, "target_xyz"):
-        draw_run(scene, what)
-        scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
-    elif motion is not None:
+    if motion is not None:
         animate(scene, motion)
     elif hasattr(what, "history"):
         if what.history is not None:
@@ -221,32 +229,20 @@ def draw_solve(scene: Any, result: Any) -> None:
     scene.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
 
 
-def draw_run(scene: Any, result: Any) -> None:
-    """Animate a tracking run in real time, with its trail and the requested path."""
-    rows = thin_rows(len(result.t), MAX_FRAMES)
-    wide = 0.005 * scene._extent()
-    ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-    for k in range(ways.shape[1]):  # labels for the first tip only
-        scene.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
-        scene.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
-    labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
-    span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
-    scene.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
-
-
 def animate(scene: Any, motion: ShownMotion) -> None:
-    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
+    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values, if there are any."""
     wide = 0.004 * scene._extent()
     ways = np.array([scene._tips(q) for q in motion.q])
     for f in range(len(scene.robot.tips)):
         if motion.targets is not None:
-            scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "poses")
+            scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "requested path")
         _coloured(scene, ways[:, f], motion.values, numbered("trail", f), wide, motion.breaks)
+    look, label = css(ORANGE), "tip path"
     if np.isfinite(motion.values).any():
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
-        bands = ", ".join(map(css, BANDS))
+        look = f"linear-gradient(90deg, {', '.join(map(css, BANDS))})"
         label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
-        scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
+    scene._say("trail/0", (look, label))
     rows = thin_rows(len(motion.q), MAX_FRAMES)
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
     scene.animate(motion.q[rows], [motion.labels[k] for k in rows], fps=max(1.0, (len(rows) - 1) / (span or 1.0)))
@@ -256,7 +252,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
 def _coloured(
     scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
 ) -> None:
-    """Draw a trail in pieces of one colour each, by the values at its points; none is drawn across a break."""
+    """Draw a trail in pieces of one colour each, by the values at its points (NaN: orange); none is drawn across a break."""
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
@@ -267,7 +263,7 @@ def _coloured(
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
         P = scene._world(points[start:last])
-        scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]]), P)
+        scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]] if known.any() else ORANGE), P)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures

@@ -75,7 +75,7 @@ class Scene(InCell):
             self.frame(T, name, self._size(name, 0.14), label)
             if several:
                 self.name(name, f"target of {tip}")
-        if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
+        if len(rows) > 1 and motion is None:
             self._say("robot", (css(SLATE), "1 (solid)"))
             self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
             more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
