@@ -32,7 +32,6 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
     except ImportError:
         raise MissingExtra("matplotlib", "plots") from None
     before = set(plt.get_fignums())
-    interactive = plt.isinteractive()
     with plt.rc_context(style):
         try:
             yield plt
