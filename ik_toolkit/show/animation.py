@@ -1,7 +1,6 @@
 """Drawing of results in a scene: solves, runs, paths and trajectories, along which the robot moves, and their obstacles."""
 
 import copy
-import csv
 import io
 import logging
 from pathlib import Path
@@ -10,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_output, check_arrays, read_json, require_place, whole_file, why_unread, without_mark, write_whole
+from ..files import as_output, check_arrays, read_json, require_place, whole_file, why_unread, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
+from ..robot.pose_files import read_columns
 from ..robot.ros import is_by_name
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
@@ -355,26 +355,6 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
         return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
     if suffix != ".csv":
         raise ValueError("the file must be .csv, .npz or .json")
-    with path.open(newline="", encoding="utf-8") as stream:
-        reader = csv.reader(stream)
-        rows = dict((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-    if len(rows) < 2:
-        found = "it has a header and no rows below it" if rows else "it has no rows"
-        form = "the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
-        raise ValueError(f"{found}; {form}")
-    first, *lines = rows
-    head = [without_mark(name) for name in rows[first]]
-    for k in lines:
-        if len(rows[k]) != len(head):
-            raise ValueError(f"line {k} has {len(rows[k])} columns, and the header {len(head)}")
-    values = np.array([[_cell(cell, k) for cell in rows[k]] for k in lines])
+    head, values = read_columns(path, gaps=True)
     t = values[:, head.index("t")] if head[0] == "t" else None
     return [name.removeprefix("q_") if t is not None else name for name in head], values, t
-
-
-def _cell(text: str, line: int) -> float:
-    """Return the number in a cell, NaN if it is empty. Raises ValueError, which names the line."""
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        raise ValueError(f"line {line}: {text[:80]!r} is not a number") from None
