@@ -204,9 +204,8 @@ class Scene(InCell):
     def name(self, path: str, text: str, below: bool = False) -> None:
         """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
         self._known(path)
-        label = (path, read_text(text, "text"), 6 if below else -24)
-        self._names = [*(one for one in self._names if one[0] != path), label]
-        self.window.say(names=self._names)
+        others = [one for one in self.window.about["names"] if one[0] != path]
+        self.window.say(names=[*others, (path, read_text(text, "text"), 6 if below else -24)])
 
     def move(self, T_base: Any, name: str = "target") -> None:
         """Move a drawn frame or shape to another pose (4, 4), pin.SE3 or position (3,) [m].

@@ -78,7 +78,6 @@ class SceneState(Unique):
         self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
         self._boxes: dict[str, np.ndarray] = {}  # corners (2, 3) [m] of everything, world axes
         self._legend: dict[str, list[tuple[str, str]]] = {}
-        self._names: list[tuple[str, str, int]] = []
         self._grid: list[tuple[str, str]] = []
         self._shown: set[str] = set()  # names of what was drawn for a result, and is removed with it
         self._marks: dict[str, tuple[Any, ...]] = {}  # properties of each drawn frame, its size last
@@ -139,8 +138,7 @@ class SceneState(Unique):
         elif moved:
             self._bodies.pop(name, None)
             self._refresh()
-        self._names = [one for one in self._names if one[0] != name]
-        self.window.say(names=self._names)
+        self.window.say(names=[one for one in self.window.about["names"] if one[0] != name])
         self._tell()
 
     # ------------------------------------------------------------------------------------------------------- robots
