@@ -140,7 +140,7 @@ def test_self_motion_by_slider(desk):
 
 
 def test_boxes_in_the_page(desk):
-    assert "clearance" in desk.facts.content and "manipulability" in desk.facts.content
+    assert "Clearance" in desk.facts.content and "manipulability" in desk.facts.content
     around = desk.around
     around.size.value = "0.2 0.2 0.2"
     around.add()
@@ -148,12 +148,12 @@ def test_boxes_in_the_page(desk):
     (name,) = around.handles
     around.handles[name].position = tuple(desk.stage.tips[0].position)
     around._moved(name)
-    assert "in collision" in desk.facts.content and name in desk.facts.content
+    assert "In collision" in desk.facts.content and name in desk.facts.content
     assert desk.stage.ellipsoids[0].visible
     desk._again()  # as after a change of units
-    assert list(desk.around.handles) == [name] and "in collision" in desk.facts.content
+    assert list(desk.around.handles) == [name] and "In collision" in desk.facts.content
     desk.around.clear()
-    assert "clearance" in desk.facts.content and desk.session.boxes == {}
+    assert "Clearance" in desk.facts.content and desk.session.boxes == {}
     for text, said in (("1 2", "the size of the box"), ("1 2 0", "the size of a box must be 3 positive numbers")):
         desk.around.size.value = text
         with pytest.raises(IKError, match=said):

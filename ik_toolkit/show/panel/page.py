@@ -140,9 +140,8 @@ class PanelPage(Visit):
     def _build_robot(self) -> None:
         s, gui = self.session, self.gui
         self._ask(gui.add_checkbox("Show joint frames", self.frames), "frames", self._show_frames)
-        words = f"<p>{html.escape(s.entry.description)}</p><p>Joint axes at home, in base axes</p>"
         axes = table_html(s.axes(), ("joint", "kind", "axis", "through [m]"))
-        gui.add_html(f'<div style="padding:4px 12px;font-size:12px">{words}</div>{axes}')
+        gui.add_html(note_html(s.entry.description) + note_html("joint axes at home, in base axes") + axes)
         if self.files:
             hint = "A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on."
             path = gui.add_text("Other robot", "", hint=hint)

@@ -1,6 +1,5 @@
 """The panel's Scene tab: contacts, clearance, box obstacles, manipulability, and self-motion while the tips stay in place."""
 
-import html
 from typing import Any
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from ...solvers.solve import Solver
 from ...style import BAD
 from ...text import figure, length, vector
+from .tables import note_html
 from .viser_scene import Stage
 
 BOX = (148, 103, 60)
@@ -72,7 +72,7 @@ class Around:
         self.changed()
 
     def show(self) -> str:
-        """Update the drawings to the session's q; return a line of HTML on contacts, clearance and manipulability."""
+        """Update the drawings to the session's q; return HTML with a sentence on contacts, clearance and manipulability."""
         s, stage = self.session, self.stage
         touching, near = s.contacts()
         words, color = "no pair of shapes to test", "inherit"
@@ -82,13 +82,11 @@ class Around:
             words = f"clearance {length(near.distance)} ({near.pair[0]} to {near.pair[1]})"
         close = near is not None and not touching and near.distance < NEAR * stage.size and self.distance.value
         stage.line("near", [near.points] if close and near else [], (70, 70, 70))
-        for k, (axes, radii) in enumerate(s.ellipsoids().values()):
+        sizes = s.manipulability()
+        for k, (tip, (axes, radii)) in enumerate(s.ellipsoids().items()):
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
-        values = []
-        for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {figure(size)}")
-        words = html.escape("; ".join([words, *values]))
-        return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
+            words += f"; manipulability{f' of {tip}' if len(sizes) > 1 else ''} {figure(sizes[tip])}"
+        return note_html(words, color)
 
 
 STEP = 0.02  # [rad or arm reaches] step between corrections; a tip's error grows with its square
