@@ -154,8 +154,7 @@ class Visit:
 
     def _dialog(self, title: str, content: str) -> None:
         """Show HTML in a window of its own with a button that closes it."""
-        modal = self.gui.add_modal(title)
-        with modal:
+        with self.gui.add_modal(title) as modal:
             self.gui.add_html(content)
             self.gui.add_button("Close").on_click(lambda _: modal.close())
 

@@ -148,11 +148,9 @@ class Learn:
         self.found = gui.add_folder("Branches", visible=False)
         with gui.add_folder("D-H table"):
             self.table = gui.add_html("")
-        self.form = gui.add_folder("Closed form", visible=False)
-        with self.form:
+        with gui.add_folder("Closed form", visible=False) as self.form:
             self.formulas = gui.add_html("")
-        self.way = gui.add_folder("Iterations", visible=False)
-        with self.way:
+        with gui.add_folder("Iterations", visible=False) as self.way:
             self.iterations = gui.add_html("")
         self.free: Any = None
         self.buttons: list[Any] = []
