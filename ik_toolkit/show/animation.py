@@ -2,17 +2,16 @@
 
 import copy
 import io
-import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_output, check_arrays, read_json, require_place, whole_file, why_unread, write_whole
+from ..errors import InvalidOption, InvalidTarget, floats
+from ..files import as_output, require_place, whole_file, write_whole
+from ..motion.trajectory import read_motion
 from ..robot.joints import Joints
 from ..robot.pose import LAST
-from ..robot.pose_files import read_columns
 from ..robot.ros import is_by_name
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
@@ -302,59 +301,3 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
     with whole_file(file) as stream:
         frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
     return file
-
-
-# ------------------------------------------------------------------------------------------------------------- read back
-def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Read times (N,) [s] or None, and joint values (N, n) [rad or m], from a file of `ik path` or `ik track`.
-
-    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
-    """
-    path = Path(file)
-    try:
-        names, values, t = _read(path)
-    except InvalidConfiguration:
-        raise
-    except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
-        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
-    if missing := [joint for joint in robot.joint_names if joint not in names]:
-        raise InvalidConfiguration(
-            f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
-        )
-    Q = values[:, [names.index(joint) for joint in robot.joint_names]]
-    keep = np.isfinite(Q).all(axis=1)
-    if not keep.any():
-        raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
-    if not keep.all():
-        what = "'%s': %d of %d rows lack joint values and are left out"
-        logging.getLogger("ik_toolkit").warning(what, path.name, int((~keep).sum()), len(Q))
-    return None if t is None else t[keep], Q[keep]
-
-
-def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
-    suffix = path.suffix.lower()
-    if not path.stat().st_size:
-        raise ValueError("it is empty")
-    if suffix == ".npz":
-        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
-        with np.load(path, allow_pickle=False) as arrays:
-            names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
-            if "curve" in arrays:
-                return names, arrays["curve"], None
-            if "q" not in arrays or "t" not in arrays:
-                raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
-            return names, arrays["q"], arrays["t"]
-    if suffix == ".json":
-        content = read_json(path, InvalidConfiguration)
-        if not isinstance(content, dict):
-            raise ValueError("it is no object with joint_names, as ik path writes it")
-        if "points" not in content:
-            return content["joint_names"], np.array(content["curve"], dtype=float), None
-        stamps = [point["time_from_start"] for point in content["points"]]
-        t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
-        return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
-    if suffix != ".csv":
-        raise ValueError("the file must be .csv, .npz or .json")
-    head, values = read_columns(path, gaps=True)
-    t = values[:, head.index("t")] if head[0] == "t" else None
-    return [name.removeprefix("q_") if t is not None else name for name in head], values, t

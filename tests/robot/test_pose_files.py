@@ -13,8 +13,8 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidConfiguration, InvalidTarget
 from ik_toolkit.files import inert, without_mark, write_table
+from ik_toolkit.motion.trajectory import read_motion
 from ik_toolkit.robot.pose_files import Convention, read_poses
-from ik_toolkit.show.animation import read_motion
 
 
 def poses_of(tmp_path, text):

@@ -9,7 +9,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidOption
-from ik_toolkit.show.animation import read_motion
+from ik_toolkit.motion.trajectory import read_motion
 from ik_toolkit.show.panel.scene_tab import null_directions, slide
 from ik_toolkit.show.panel.session import Session
 
