@@ -148,7 +148,9 @@ class Stage:
         ]
         self.lines: dict[str, Any] = {}
         self.boxes: dict[str, Any] = {}
-        self.ellipsoids: dict[int, Any] = {}
+        shape, look = primitive("sphere", (1.0,)), {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
+        balls = [self.path(f"ellipsoid/{k}") for k in range(len(targets))]
+        self.ellipsoids = [scene.add_mesh_simple(ball, *shape, visible=False, **look) for ball in balls]
         self.shade: list[Any] = []
         self.ghosted: np.ndarray | None = None
         self.poses = body.placements(q)
@@ -256,12 +258,7 @@ class Stage:
         R = self.body.T_world_base[:3, :3] @ axes
         if np.linalg.det(R) < 0.0:
             R[:, 2] *= -1.0
-        ball = self.ellipsoids.get(k)
-        if ball is None:
-            if not visible:
-                return
-            draw, look = self.client.scene.add_mesh_simple, {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
-            ball = self.ellipsoids[k] = draw(self.path(f"ellipsoid/{k}"), *primitive("sphere", (1.0,)), **look)
+        ball = self.ellipsoids[k]
         ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
         ball.visible = visible
         _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
