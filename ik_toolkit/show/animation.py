@@ -216,11 +216,11 @@ def draw_solve(scene: Any, result: Any) -> None:
     labels = [words[k] for k in number // between]
     scene.show(Q[0], "start", SLATE, 0.22, "start")
     for number, other in enumerate(others):
-        ways = np.array([scene._tips(q) for q in result.history["q"][other]])
+        ways = scene._tips(result.history["q"][other])
         for k in range(ways.shape[1]):
             label = "" if number or k else "other attempts"
             scene.trail(ways[:, k], f"trail_of_{number}_{k}", GREY, 0.0015 * scene._extent(), label)
-    ways = np.array([scene._tips(q) for q in Q[rows]])
+    ways = scene._tips(Q[rows])
     several = len(scene.robot.tips) > 1
     for k, tip in enumerate(scene.robot.tips):
         label = f"path of {tip}" if several else "tip path"
@@ -231,7 +231,7 @@ def draw_solve(scene: Any, result: Any) -> None:
 def animate(scene: Any, motion: ShownMotion) -> None:
     """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values, if there are any."""
     wide = 0.004 * scene._extent()
-    ways = np.array([scene._tips(q) for q in motion.q])
+    ways = scene._tips(motion.q)
     for f in range(len(scene.robot.tips)):
         if motion.targets is not None:
             scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "requested path")

@@ -318,7 +318,6 @@ class SceneState(Unique):
             raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
         return P, good.astype(bool)
 
-    def _tips(self, q: np.ndarray) -> np.ndarray:
-        """Return the positions (tips, 3) [m] of the tips in base axes."""
-        base = self.body.T_world_base
-        return (self.body.tips(q)[:, :3, 3] - base[:3, 3]) @ base[:3, :3]
+    def _tips(self, Q: np.ndarray) -> np.ndarray:
+        """Return the positions (N, tips, 3) [m] of the tips in base axes at Q (N, n)."""
+        return np.array([[T.translation for T in self.robot.tip_poses(q)] for q in Q])
