@@ -225,9 +225,6 @@ class Learn:
             raise
         self._branches()
         self._go(result.q)
-        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
-        goal[:3, 3] = self.lesson.T[:3, 3]
-        self.desk._put({self.robot.tip: goal})
         self._tell(result)
 
     def _at(self, value: float) -> None:
@@ -237,13 +234,15 @@ class Learn:
         self._tell(result)
 
     def _tell(self, result: Result) -> None:
-        """Write the outcome, and draw the line to a target that is not reached."""
+        """Write the outcome, and show the target, with a line to one that is not reached."""
+        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
+        goal[:3, 3] = self.lesson.T[:3, 3]
+        self.desk._put({self.robot.tip: goal})
         words = f"{as_sentence(result.message)} {as_sentence(result.notice)}".strip()
         color = GOOD if result.success else BAD
         self.outcome.content = note_html(words, color)
         self.desk.say(words, color)
-        if not result.success:
-            self.desk.stage.gaps({self.robot.tip: self.lesson.T})
+        self.desk.stage.gaps(not result.success)
 
     def _branches(self) -> None:
         """Build the branch buttons and the slider of the free parameter."""

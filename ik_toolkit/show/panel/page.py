@@ -152,7 +152,7 @@ class PanelPage(Visit):
         s = self.session
         with self.client.atomic():
             self.stage.show(s.q)
-            self.stage.gaps({})
+            self.stage.gaps(False)
             for i, slider in enumerate(self.sliders):
                 rounded = round(s.scale(i) * float(s.q[i]), s.digits(i)) + 0.0
                 slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
@@ -279,8 +279,7 @@ class PanelPage(Visit):
         self.say("solving ... (a method's first use compiles it, some seconds)")
         result, left = self.session.solve(target), self.session.followed
         self.show()
-        if left is not None:
-            self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
+        self.stage.gaps(left is not None)
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
         near = "" if left is None else f" {as_sentence(left.message)}"
         self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
@@ -303,7 +302,7 @@ class PanelPage(Visit):
             return
         found = self.session.follow(self._joined(targets))
         self.show()
-        self.stage.gaps({} if found.success else targets)
+        self.stage.gaps(not found.success)
         self.say(as_sentence(found.message), GOOD if found.success else PLAIN)
         self._show_figures()
         self._hide_answer()
@@ -333,7 +332,7 @@ class PanelPage(Visit):
         self.outcome.visible = False
         self.say("searching ...")
         words, details = s.solve_all(target)
-        self.stage.gaps({})
+        self.stage.gaps(False)
         self.found.show(details)
         self.say(as_sentence(words), GOOD if s.solutions else BAD)
 

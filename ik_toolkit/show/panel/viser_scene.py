@@ -184,13 +184,11 @@ class Stage:
         for handle, part, T in zip(handles, self.body.parts, poses, strict=True):
             _place(handle, T, bar=part.end is not None)
 
-    def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
-        """Draw a line from each tip to its target (4, 4) or (3,), to show what is missing; {} removes the lines."""
-        ends = [T for T in targets.values() if T is not None]
-        base = self.body.T_world_base
-        goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
-        tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=False) if T is not None]
-        self.line("gap", [*zip(tips, goals, strict=True)], RED)
+    def gaps(self, shown: bool) -> None:
+        """Draw a line from each tip to its target, to show what is missing, or remove the lines."""
+        pairs = [(tip, handle.gizmo) for tip, handle in zip(self.tips, self.handles, strict=True)]
+        ends = [(tip.position, gizmo.position) for tip, gizmo in pairs if shown and gizmo.visible]
+        self.line("gap", ends, RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
         """Also show the robot at q (n,), translucent, without parts that coincide with the robot's; None removes it."""
