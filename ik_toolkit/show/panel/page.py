@@ -43,10 +43,8 @@ class PanelPage(Visit):
             self.gui.main_panel.dock_right()
             self._build_controls()
         self.show()
-        words = (
-            body.notice
-            or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {how_many(s.robot.n, 'joint')}"
-        )
+        route = f"{s.robot.base} to {' and '.join(s.robot.tips)}"
+        words = body.notice or f"{s.robot.name}: {route}, {how_many(s.robot.n, 'joint')}"
         self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
         waiting = self.status.content
         self.worker.post("prepare", self._guard(self.session.prepare))

@@ -64,8 +64,7 @@ class Around:
         self.changed()
 
     def _draw(self, name: str, size: Any, T: np.ndarray) -> None:
-        gizmo = self.handles[name] = self.stage.box(name, size, T, BOX)
-        self.desk._on(gizmo, name, lambda: self._moved(name))
+        self.desk._on(self.stage.box(name, size, T, BOX), name, lambda: self._moved(name))
 
     def _moved(self, name: str) -> None:
         self.session.move_box(name, self.stage.dragged(self.handles[name]))

@@ -52,7 +52,8 @@ class Handle:
         path = stage.path(f"target/{k}")
         self.gizmo = scene.add_transform_controls(path, scale=PICTURE.arrow * stage.size, disable_sliders=True)
         self.name = scene.add_label(f"{path}/name", name, anchor="bottom-left") if name else None
-        self._put(T)
+        self.target = T
+        _place(self.gizmo, stage.body.T_world_base @ T)
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
         look: dict[str, Any] = {"color": PICTURE.amber, "opacity": 0.7, "cast_shadow": False}
         self.ball = scene.add_icosphere(f"{path}/ball", PICTURE.ball * PICTURE.arrow * stage.size, **look)
@@ -61,7 +62,11 @@ class Handle:
 
     def put(self, target: np.ndarray) -> None:
         """Move to T_base_target (4, 4), or to a position (3,) with the present rotation, and keep it in the picture."""
-        self._put(target)
+        if target.ndim == 1:
+            place, target = target, self.target.copy()
+            target[:3, 3] = place
+        self.target = target
+        _place(self.gizmo, self.stage.body.T_world_base @ target)
         self.stage.keep_in_view()
 
     def _moved(self, event: Any, dragged: Callable[[], None]) -> None:
@@ -84,13 +89,6 @@ class Handle:
                     self._moved(event, dragged)
 
         return carry
-
-    def _put(self, target: np.ndarray) -> None:
-        if target.ndim == 1:
-            place, target = target, self.target.copy()
-            target[:3, 3] = place
-        self.target = target
-        _place(self.gizmo, self.stage.body.T_world_base @ target)
 
     def read(self) -> np.ndarray:
         """Return T_base_target (4, 4) to which the visitor has dragged the arrows and rings."""
