@@ -177,16 +177,6 @@ def model_of(what: Any, motion: ShownMotion | None) -> Any:
     return None if asked is False else collision_model(what.robot, asked)
 
 
-def draw_result(scene: Any, what: Any, motion: ShownMotion | None) -> None:
-    """Draw what belongs to a result: its motion and its caption."""
-    if motion is not None:
-        animate(scene, motion)
-    elif hasattr(what, "history"):
-        if what.history is not None:
-            draw_solve(scene, what)
-        scene.say(f"{what.solver}: {what.status.name}", what.message)
-
-
 def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
     """Draw the obstacles of a CollisionModel at the scene paths NAME/SHAPE; shapes held by the robot move with the tip."""
     for one, placed in model._placed.items():

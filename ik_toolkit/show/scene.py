@@ -69,7 +69,12 @@ class Scene(InCell):
         if model is not None and around != self._around:
             animation.draw_obstacles(self, model)
         self._around = around
-        animation.draw_result(self, what, motion)
+        if motion is not None:
+            animation.animate(self, motion)
+        elif hasattr(what, "history"):
+            if what.history is not None:
+                animation.draw_solve(self, what)
+            self.say(f"{what.solver}: {what.status.name}", what.message)
         for name, (tip, T) in targets.items():
             label = "" if name != "target" else "targets" if several else "target"
             self.frame(T, name, self._size(name, 0.14), label)
