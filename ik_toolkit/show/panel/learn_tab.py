@@ -59,7 +59,7 @@ class Lesson:
 
         Raises InvalidConfiguration.
         """
-        return self.session.read_joints(values, shown, [self.scale(i) for i in range(self.robot.n)], True)
+        return self.session.read_joints(values, shown, self.scale, True)
 
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
         """Return the columns n, o, a and p [mm] of a pose (4, 4)."""

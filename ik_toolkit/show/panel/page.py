@@ -182,8 +182,7 @@ class PanelPage(Visit):
 
     def _moved(self) -> None:
         s = self.session
-        scales = [s.scale(i) for i in range(s.robot.n)]
-        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, scales, s.limits)
+        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, s.scale, s.limits)
         self.show()
 
     def _push(self) -> None:
