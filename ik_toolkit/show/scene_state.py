@@ -270,10 +270,8 @@ class SceneState(Unique):
     # ---------------------------------------------------------------------------------------------- sizes and places
     def drawn(self) -> dict[str, np.ndarray]:
         """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
-        found = {path: self.window.pose(path) for path in self.window.transforms}
-        for path in self._boxes.keys() & self.window.objects.keys() - found.keys():
-            found[path] = np.eye(4)
-        return found
+        still = [path for path in self._boxes if path in self.window.objects]
+        return {path: self.window.pose(path) for path in (*self.window.transforms, *still)}
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners (3,) [m] of the box around everything drawn, or around the robot at home."""
