@@ -1,6 +1,7 @@
-"""A timed joint motion that can be evaluated at any time, sampled at a fixed rate and exported for controllers."""
+"""A timed joint motion: evaluated at any time, sampled at a fixed rate, exported for controllers; and motions read from files."""
 
 import json
+import logging
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -8,8 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption
-from ..files import as_path, write_table, write_whole
+from ..errors import InvalidConfiguration, InvalidOption
+from ..files import as_path, check_arrays, read_json, why_unread, write_table, write_whole
+from ..robot.joints import Joints
+from ..robot.pose_files import read_columns
 from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
 from ..style import BAD, GOOD
@@ -205,3 +208,59 @@ def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.nda
     outside = (t < 0.0) | (t > starts[-1])
     dq[outside], ddq[outside] = 0.0, 0.0
     return q, dq, ddq, place
+
+
+def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
+    """Read times (N,) [s] or None, and joint values (N, n) [rad or m], from a file of `ik path` or `ik track`.
+
+    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
+    """
+    path = Path(file)
+    try:
+        names, values, t = _joint_table(path)
+    except InvalidConfiguration:
+        raise
+    except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
+        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
+    if missing := [joint for joint in robot.joint_names if joint not in names]:
+        raise InvalidConfiguration(
+            f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
+        )
+    Q = values[:, [names.index(joint) for joint in robot.joint_names]]
+    keep = np.isfinite(Q).all(axis=1)
+    if not keep.any():
+        raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
+    if not keep.all():
+        what = "'%s': %d of %d rows lack joint values and are left out"
+        logging.getLogger("ik_toolkit").warning(what, path.name, int((~keep).sum()), len(Q))
+    return None if t is None else t[keep], Q[keep]
+
+
+def _joint_table(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
+    """Return names of joints, their values (N, K), NaN where there are none, and times (N,) [s] or None."""
+    suffix = path.suffix.lower()
+    if not path.stat().st_size:
+        raise ValueError("it is empty")
+    if suffix == ".npz":
+        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
+        with np.load(path, allow_pickle=False) as arrays:
+            names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
+            if "curve" in arrays:
+                return names, arrays["curve"], None
+            if "q" not in arrays or "t" not in arrays:
+                raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
+            return names, arrays["q"], arrays["t"]
+    if suffix == ".json":
+        content = read_json(path, InvalidConfiguration)
+        if not isinstance(content, dict):
+            raise ValueError("it is no object with joint_names, as ik path writes it")
+        if "points" not in content:
+            return content["joint_names"], np.array(content["curve"], dtype=float), None
+        stamps = [point["time_from_start"] for point in content["points"]]
+        t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
+        return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
+    if suffix != ".csv":
+        raise ValueError("the file must be .csv, .npz or .json")
+    head, values = read_columns(path, gaps=True)
+    t = values[:, head.index("t")] if head[0] == "t" else None
+    return [name.removeprefix("q_") if t is not None else name for name in head], values, t

@@ -126,10 +126,14 @@ def read_poses(
         raise InvalidTarget(f"cannot read '{path.name}': {why_unread(error)}") from None
 
 
-def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarray]:
-    """Return the names of all columns of a CSV file, and the numbers (N, len(names)) in some. Raises InvalidTarget."""
+def read_columns(path: Path, names: Sequence[str] = (), gaps: bool = False) -> tuple[list[str], np.ndarray]:
+    """Return the names of all columns of a CSV file, and the numbers (N, K) in those named, or in all. Raises InvalidTarget.
+
+    gaps: whether a cell may be empty or nan, which gives NaN.
+    """
     try:
-        top = _read_top(path, ",".join(names) or "x,y,z")
+        top = _read_top(path, ",".join(names) or "t,q_JOINT")
+        names = names or top.header
         for name in names:
             if top.header.count(name) != 1:
                 many = "no column" if name not in top.header else "more than one column"
@@ -138,9 +142,8 @@ def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarra
                 )
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines, texts = zip(*_rows(stream, path.name, top.line), strict=True)
-            return top.header, _numbers(
-                list(texts), [top.header.index(name) for name in names], top, list(lines), path.name
-            )
+            columns = [top.header.index(name) for name in names]
+            return top.header, _numbers(list(texts), columns, top, list(lines), path.name, gaps)
     except InvalidTarget:
         raise
     except (OSError, UnicodeDecodeError) as error:
@@ -336,8 +339,10 @@ def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, pr
     return T
 
 
-def _numbers(texts: list[str], columns: list[int], top: _Top, lines: list[int], name: str) -> np.ndarray:
-    """Read finite numbers (m, columns) from m lines of text with the header's columns.
+def _numbers(
+    texts: list[str], columns: list[int], top: _Top, lines: list[int], name: str, gaps: bool = False
+) -> np.ndarray:
+    """Read finite numbers (m, columns) from m lines of text with the header's columns; with gaps also NaN.
 
     columns: indices of the columns to read; lines: numbers of the lines. Raises InvalidTarget, which names the lines.
     """
@@ -363,7 +368,7 @@ def _numbers(texts: list[str], columns: list[int], top: _Top, lines: list[int], 
             hint = "; are decimals written with a comma?" if len(row) > width and mark == "," else ""
             more = "more" if len(row) > width else "fewer"
             raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than in the header{hint}")
-        found = [_finite(row[column]) for column in columns]
+        found = [math.nan if gaps and row[at].strip() in ("", "nan") else _finite(row[at]) for at in columns]
         rows.append(found)
         if None in found:
             column = columns[found.index(None)]

@@ -1,16 +1,15 @@
 """Drawing of results in a scene: solves, runs, paths and trajectories, along which the robot moves, and their obstacles."""
 
 import copy
-import csv
 import io
-import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_output, check_arrays, read_json, require_place, whole_file, why_unread, without_mark, write_whole
+from ..errors import InvalidOption, InvalidTarget, floats
+from ..files import as_output, require_place, whole_file, write_whole
+from ..motion.trajectory import read_motion
 from ..robot.joints import Joints
 from ..robot.pose import LAST
 from ..robot.ros import is_by_name
@@ -41,9 +40,9 @@ SECONDS = 12.0  # [s] duration of the animation of a motion without times
 class ShownMotion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the path, NaN where there is none, with name
-    and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted; lines:
-    text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
+    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the tip path, NaN where there is none, with
+    name and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted;
+    lines: text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -71,6 +70,15 @@ def of_path(result: Any) -> ShownMotion:
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
         (f"{result.status.name}: {result.message}",), result.collision,
     )  # fmt: skip
+
+
+def of_run(run: Any) -> ShownMotion:
+    """Convert a TrackResult to a ShownMotion without values."""
+    rows = thin_rows(len(run.t), MAX_FRAMES)
+    labels = [f"t = {run.t[k]:.2f} s, error {length(run.position_error[k])}" for k in rows]
+    said = f"{run.method} at {1 / run.dt:.4g} Hz: {run.message or run.status.value}"
+    wanted = run.target_xyz[rows].reshape(len(rows), -1, 3)
+    return ShownMotion(run.q[rows], run.t[rows], labels, np.full(len(rows), np.nan), "", "", wanted, lines=(said,))
 
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
@@ -105,11 +113,13 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
 
 
 def motion_of(what: Any) -> ShownMotion | None:
-    """Convert a PathResult or a Trajectory to a ShownMotion; return None for anything else."""
+    """Convert a PathResult, a Trajectory or a TrackResult to a ShownMotion; return None for anything else."""
     if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
         return of_path(what)
+    if hasattr(what, "target_xyz"):
+        return of_run(what)
     return of_trajectory(what) if hasattr(what, "ddq") else None
 
 
@@ -167,19 +177,6 @@ def model_of(what: Any, motion: ShownMotion | None) -> Any:
     return None if asked is False else collision_model(what.robot, asked)
 
 
-def draw_result(scene: Any, what: Any, motion: ShownMotion | None) -> None:
-    """Draw what belongs to a result: its motion and its caption."""
-    if hasattr(what, "target_xyz"):
-        draw_run(scene, what)
-        scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
-    elif motion is not None:
-        animate(scene, motion)
-    elif hasattr(what, "history"):
-        if what.history is not None:
-            draw_solve(scene, what)
-        scene.say(f"{what.solver}: {what.status.name}", what.message)
-
-
 def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
     """Draw the obstacles of a CollisionModel at the scene paths NAME/SHAPE; shapes held by the robot move with the tip."""
     for one, placed in model._placed.items():
@@ -192,7 +189,10 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 
 
 def draw_solve(scene: Any, result: Any) -> None:
-    """Animate the iterations of a solve (see `Scene.converge`)."""
+    """Animate the iterates of the attempt that found a Result with history, ending there.
+
+    Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
+    """
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
@@ -206,11 +206,11 @@ def draw_solve(scene: Any, result: Any) -> None:
     labels = [words[k] for k in number // between]
     scene.show(Q[0], "start", SLATE, 0.22, "start")
     for number, other in enumerate(others):
-        ways = np.array([scene._tips(q) for q in result.history["q"][other]])
+        ways = scene._tips(result.history["q"][other])
         for k in range(ways.shape[1]):
             label = "" if number or k else "other attempts"
             scene.trail(ways[:, k], f"trail_of_{number}_{k}", GREY, 0.0015 * scene._extent(), label)
-    ways = np.array([scene._tips(q) for q in Q[rows]])
+    ways = scene._tips(Q[rows])
     several = len(scene.robot.tips) > 1
     for k, tip in enumerate(scene.robot.tips):
         label = f"path of {tip}" if several else "tip path"
@@ -218,32 +218,20 @@ def draw_solve(scene: Any, result: Any) -> None:
     scene.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
 
 
-def draw_run(scene: Any, result: Any) -> None:
-    """Animate a tracking run (see `Scene.follow`)."""
-    rows = thin_rows(len(result.t), MAX_FRAMES)
-    wide = 0.005 * scene._extent()
-    ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-    for k in range(ways.shape[1]):  # labels for the first tip only
-        scene.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
-        scene.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
-    labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
-    span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
-    scene.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
-
-
 def animate(scene: Any, motion: ShownMotion) -> None:
-    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
+    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values, if there are any."""
     wide = 0.004 * scene._extent()
-    ways = np.array([scene._tips(q) for q in motion.q])
+    ways = scene._tips(motion.q)
     for f in range(len(scene.robot.tips)):
         if motion.targets is not None:
-            scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "poses")
+            scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "requested path")
         _coloured(scene, ways[:, f], motion.values, numbered("trail", f), wide, motion.breaks)
+    look, label = css(ORANGE), "tip path"
     if np.isfinite(motion.values).any():
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
-        bands = ", ".join(map(css, BANDS))
+        look = f"linear-gradient(90deg, {', '.join(map(css, BANDS))})"
         label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
-        scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
+    scene._say("trail/0", (look, label))
     rows = thin_rows(len(motion.q), MAX_FRAMES)
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
     scene.animate(motion.q[rows], [motion.labels[k] for k in rows], fps=max(1.0, (len(rows) - 1) / (span or 1.0)))
@@ -253,7 +241,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
 def _coloured(
     scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
 ) -> None:
-    """Draw a trail in pieces of one colour each, by the values at its points; none is drawn across a break."""
+    """Draw a trail in pieces of one colour each, by the values at its points (NaN: orange); none is drawn across a break."""
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
@@ -264,7 +252,7 @@ def _coloured(
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
         P = scene._world(points[start:last])
-        scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]]), P)
+        scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]] if known.any() else ORANGE), P)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures
@@ -303,79 +291,3 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
     with whole_file(file) as stream:
         frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
     return file
-
-
-# ------------------------------------------------------------------------------------------------------------- read back
-def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Read times (N,) [s] or None, and joint values (N, n) [rad or m], from a file of `ik path` or `ik track`.
-
-    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
-    """
-    path = Path(file)
-    try:
-        names, values, t = _read(path)
-    except InvalidConfiguration:
-        raise
-    except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
-        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
-    if missing := [joint for joint in robot.joint_names if joint not in names]:
-        raise InvalidConfiguration(
-            f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
-        )
-    Q = values[:, [names.index(joint) for joint in robot.joint_names]]
-    keep = np.isfinite(Q).all(axis=1)
-    if not keep.any():
-        raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
-    if not keep.all():
-        what = "'%s': %d of %d rows lack joint values and are left out"
-        logging.getLogger("ik_toolkit").warning(what, path.name, int((~keep).sum()), len(Q))
-    return None if t is None else t[keep], Q[keep]
-
-
-def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
-    suffix = path.suffix.lower()
-    if not path.stat().st_size:
-        raise ValueError("it is empty")
-    if suffix == ".npz":
-        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
-        with np.load(path, allow_pickle=False) as arrays:
-            names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
-            if "curve" in arrays:
-                return names, arrays["curve"], None
-            if "q" not in arrays or "t" not in arrays:
-                raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
-            return names, arrays["q"], arrays["t"]
-    if suffix == ".json":
-        content = read_json(path, InvalidConfiguration)
-        if not isinstance(content, dict):
-            raise ValueError("it is no object with joint_names, as ik path writes it")
-        if "points" not in content:
-            return content["joint_names"], np.array(content["curve"], dtype=float), None
-        stamps = [point["time_from_start"] for point in content["points"]]
-        t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
-        return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
-    if suffix != ".csv":
-        raise ValueError("the file must be .csv, .npz or .json")
-    with path.open(newline="", encoding="utf-8") as stream:
-        reader = csv.reader(stream)
-        rows = dict((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-    if len(rows) < 2:
-        found = "it has a header and no rows below it" if rows else "it has no rows"
-        form = "the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
-        raise ValueError(f"{found}; {form}")
-    first, *lines = rows
-    head = [without_mark(name) for name in rows[first]]
-    for k in lines:
-        if len(rows[k]) != len(head):
-            raise ValueError(f"line {k} has {len(rows[k])} columns, and the header {len(head)}")
-    values = np.array([[_cell(cell, k) for cell in rows[k]] for k in lines])
-    t = values[:, head.index("t")] if head[0] == "t" else None
-    return [name.removeprefix("q_") if t is not None else name for name in head], values, t
-
-
-def _cell(text: str, line: int) -> float:
-    """Return the number in a cell, NaN if it is empty. Raises ValueError, which names the line."""
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        raise ValueError(f"line {line}: {text[:80]!r} is not a number") from None

@@ -41,18 +41,18 @@ def as_json(about: dict[str, Any]) -> str:
 class Feed:
     """Updates not yet sent to one open page.
 
-    It stores which paths changed, not how often, so that nothing accumulates for a page that does not read. `wake` is called when
-    there is an update. The methods `changed`, `deleted` and `told` may be called only with the window's lock held.
+    It stores which paths changed, not how often, so that nothing accumulates for a page that does not read. At first everything
+    is unsent; `wake` is called when there is news again after a `take`. The methods `changed`, `deleted` and `told` may be called
+    only with the window's lock held.
     """
 
     def __init__(self, window: Any, wake: Callable[[], None]) -> None:
         """Start with everything unsent."""
         self.window, self._wake = window, wake
-        self._awake = False
+        self._awake = True
         self._gone: set[str] = set()
-        self._paths: set[str] = {*window.objects, *window.copies, *window.transforms}
+        self._paths: set[str] = window.paths
         self._about = dict(window.about)
-        self._news()
 
     def _news(self) -> None:
         if not self._awake:
@@ -69,8 +69,7 @@ class Feed:
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
         if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
-            window = self.window
-            self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
+            self._gone, self._paths = {""}, self.window.paths
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
@@ -107,14 +106,13 @@ class Guest:
         self._window, self._scene = window, meshcat["ik_toolkit"]
         self._scene.delete()
         self._scene.set_animation(meshcat_module().animation.Animation(), play=False)
-        self._feed: Feed | None = None
         self._feed = Feed(window, self.update)
         window.feeds.add(self._feed)
         self.update()
 
     def update(self) -> None:
         """Send what has changed in the scene, but no title, text, legend or camera."""
-        commands, about = self._feed.take() if self._feed is not None else ([], {})
+        commands, about = self._feed.take()
         for command in commands:
             self._send(command)
         if motion := about.get("animation"):

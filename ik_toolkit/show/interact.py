@@ -10,7 +10,7 @@ from ..robot.tree import Tree
 from ..solvers.result import Result
 from ..solvers.solve import Solver, require_robot
 from ..text import duration, how_many, length
-from .animation import GHOSTS, SLATE, each_target, thin_rows
+from .animation import GHOSTS, SLATE, thin_rows
 from .plots import iterates
 from .scene import Scene, view
 from .scene_state import css
@@ -89,7 +89,6 @@ def interact(
         poses = [T.homogeneous for T in robot.tip_poses(robot.random_q(np.random.default_rng(2)))]
         each = [T if robot.n >= 6 * len(robot.tips) else T[:3, 3] for T in poses]
         target = robot.for_tips(dict(zip(robot.tips, each, strict=True)))
-    each_target(robot, target)
     scene = view(robot, q, target=target, title=f"{robot.name}: drag the target", live=True)
     return Interaction(scene, solvers, target, q)
 

@@ -64,13 +64,15 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     """Return the data for the page's modules (joints, moving nodes, tips and parts), and all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
+    size = float(np.linalg.norm(bounds[1] - bounds[0]))
+    floor = {"z": body.floor, "cell": grid_cell(size), "wide": 2.5 * size}  # height, and width of a cell and of all [m]
 
     def at(joint: int, T: pin.SE3) -> dict[str, Any]:
         node, offset = places[joint]
         return {"node": node, "T": pose_rows(offset * T)}
 
     shapes, tools = [shape for part in body.parts for shape in part.shapes], handles()
-    meshes = thin(shapes, float(np.linalg.norm(bounds[1] - bounds[0])))
+    meshes = thin(shapes, size)
     told, blob = packed([*shapes, *tools.values()], [*meshes, *thin([*tools.values()], 1.0)])
     rest = iter(told)
     base = frames[arms[0]._ids[0]]
@@ -85,7 +87,7 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     ]
     told = {
         "reach": robot.reach,
-        "room": view_room(bounds, body.floor),
+        "room": {"size": size, "centre": bounds.mean(axis=0).tolist(), "floor": floor},
         # a missing limit becomes null in JSON
         "joints": [plain(dict(zip(keys, column, strict=True))) for column in zip(*values, strict=True)],
         "nodes": nodes,
@@ -95,13 +97,6 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
         "handles": dict(zip(tools, rest, strict=True)),
     }
     return told, blob
-
-
-def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
-    """Return size and centre [m] of a box (2, 3), the height [m] of the floor, and cell width and extent [m] of its grid."""
-    size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
-    floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
-    return {"size": size, "centre": centre.tolist(), "floor": floor}
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:

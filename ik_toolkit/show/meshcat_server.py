@@ -128,20 +128,21 @@ class Window:
             made = g.Mesh(g.TriangularMeshGeometry(drawn.vertices, drawn.faces), look)
         return {"type": "set_object", "path": ROOT + path, "object": made.lower()}
 
-    def snapshot(self, paths: Container[str] | None = None) -> list[dict[str, Any]]:
-        """Return the commands, in order, that draw the scene anew, or only some paths in it."""
+    @property
+    def paths(self) -> set[str]:
+        """All paths at which something is drawn or placed."""
+        return {*self.objects, *self.copies, *self.transforms}
 
-        def wanted(path: str) -> bool:
-            return paths is None or path in paths
-
+    def snapshot(self, paths: Container[str]) -> list[dict[str, Any]]:
+        """Return the commands, in order, that draw what is at some paths."""
         with self.lock:
-            drawn = [self.drawing(path) for path in self.objects if wanted(path)]
+            drawn = [self.drawing(path) for path in self.objects if path in paths]
             for path, (source, color, opacity) in self.copies.items():
-                if wanted(path):
+                if path in paths:
                     look = {"color": _number(color), "opacity": float(opacity)}
                     drawn.append({"type": "copy", "path": ROOT + path, "source": ROOT + source, **look})
             for path, T in self.transforms.items():
-                if wanted(path):
+                if path in paths:
                     drawn.append({"type": "set_transform", "path": ROOT + path, "matrix": T.T.ravel().tolist()})
             return drawn
 
@@ -154,7 +155,7 @@ class Window:
 
     def html(self) -> str:
         """Return the scene as one page that needs no network."""
-        parts = viewer_script(), framed(self.snapshot()), as_json(self.about).encode()
+        parts = viewer_script(), framed(self.snapshot(self.paths)), as_json(self.about).encode()
         texts = ", ".join(f'"{compressed(part)}"' for part in parts)
         return self._page(f"still({texts});")
 
@@ -261,6 +262,7 @@ def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
             with window.lock:
                 self.feed = Feed(window, wake)
                 window.feeds.add(self.feed)
+            news.set()
             self.writer = loop.create_task(self.write_all(news))
 
         async def write_all(self, news: asyncio.Event) -> None:

@@ -141,8 +141,7 @@ def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) ->
     for path, drawn in window.objects.items():
         if path.count("/") > 1:  # ROBOT/PART/NUMBER
             robots.setdefault(path.partition("/")[0], {})[path] = drawn
-    shared = {path for robot in robots.values() for path in robot}
-    rest = {path for path in (*window.objects, *window.copies, *window.transforms) if path not in shared}
+    rest = window.paths.difference(*robots.values())
     with window.lock:
         blob, about = compressed(framed(window.snapshot(rest))), compressed(as_json(_short(window.about)).encode())
         if channel is not None:
@@ -204,7 +203,7 @@ def _meshes(drawn: dict[str, DrawnShape]) -> tuple[str, str]:
         rounded = (np.round(vertices / unit) * unit).astype(np.float32)
         small.draw(path, DrawnShape(rounded, faces.astype(np.uint32), one.color, one.opacity))
         digest.update(f"{path} {one.color} {one.opacity}".encode() + rounded.tobytes() + faces.tobytes())
-    return digest.hexdigest()[:12], compressed(framed(small.snapshot()))
+    return digest.hexdigest()[:12], compressed(framed(small.snapshot(small.paths)))
 
 
 def _short(about: dict[str, Any]) -> dict[str, Any]:

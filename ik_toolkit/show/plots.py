@@ -32,7 +32,6 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
     except ImportError:
         raise MissingExtra("matplotlib", "plots") from None
     before = set(plt.get_fignums())
-    interactive = plt.isinteractive()
     with plt.rc_context(style):
         try:
             yield plt
@@ -99,16 +98,15 @@ def convergence(runs: Any, *, title: str = "") -> Any:
     size = (min(11.0, 2.0 + 2.6 * len(named)) if len(named) > 1 else 5.6, 3.3)
     with charts(1, len(named), size, sharey=True, squeeze=False) as (figure, axes):
         for k, (axis, (label, run)) in enumerate(zip(axes[0], named.items(), strict=True)):
-            won, others = attempts(run.history, run.q)
-            drawn, angle = (np.maximum(run.history[key], FLOOR) for key in ("position_error", "orientation_error"))
+            _, *errors, others = iterates(run)
+            every, position, angle = (np.maximum(x, FLOOR) for x in (run.history["position_error"], *errors))
             for other in others:
                 name = None if k or other is not others[0] else "other attempts [m]"
-                axis.semilogy(drawn[other], color=COLOURS[7], alpha=0.5, lw=0.7, label=name)
-            position = drawn[won]
+                axis.semilogy(every[other], color=COLOURS[7], alpha=0.5, lw=0.7, label=name)
             few = "o" if len(position) < 40 else None
             axis.semilogy(position, color=COLOURS[0], marker=few, ms=3, label="position [m]")
             if np.isfinite(angle).any():
-                axis.semilogy(angle[won], color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
+                axis.semilogy(angle, color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
             axis.xaxis.get_major_locator().set_params(integer=True)
             axis.set(xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations"))
         axes[0, 0].set_ylabel("error (log scale)")
@@ -118,31 +116,20 @@ def convergence(runs: Any, *, title: str = "") -> Any:
     return figure
 
 
-def attempts(history: Mapping[str, np.ndarray], q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return the rows of the winning attempt, up to its result, and those of the first twelve others.
-
-    If the result q (n,) is not among the rows because it was refined, the last row is used instead.
-    """
-    number = history["attempt"]
-    rows = np.arange(len(number))
-    same = np.flatnonzero((history["q"] == q).all(axis=1))
-    answer = int(same[-1]) if len(same) else len(number) - 1
-    won = number[answer]
-    others = [rows[number == one] for one in np.unique(number) if one != won][:12]
-    return rows[(number == won) & (rows <= answer)], others
-
-
 def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
     """Return joint values (N, n), position errors [m] and angles [rad] of the winning attempt of a Result with history.
 
-    They end at the result; an angle that does not count is NaN. The last value lists the rows of the other attempts.
+    They end at the result; an angle that does not count is NaN. The last value lists the rows of the first twelve other attempts.
     """
-    won, others = attempts(result.history, result.q)
-    Q, position, angle = (np.asarray(result.history[key])[won] for key in ("q", "position_error", "orientation_error"))
-    if not np.array_equal(Q[-1], result.q):  # refined after the search
+    history, number = result.history, result.history["attempt"]
+    same = np.flatnonzero((history["q"] == result.q).all(axis=1))
+    last = int(same[-1]) if len(same) else len(number) - 1
+    rows = np.flatnonzero(number[: last + 1] == number[last])
+    Q, position, angle = (np.asarray(history[key])[rows] for key in ("q", "position_error", "orientation_error"))
+    if not len(same):  # refined after the search
         Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
         angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
-    return Q, position, angle, others
+    return Q, position, angle, [np.flatnonzero(number == one) for one in np.unique(number) if one != number[last]][:12]
 
 
 def tracking_errors(runs: Mapping[Any, TrackResult]) -> Any:

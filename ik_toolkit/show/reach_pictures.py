@@ -62,9 +62,8 @@ def _planes(found: ReachabilityMap) -> Any:
 
 def _middle(found: ReachabilityMap) -> np.ndarray:
     """Return the cell centre (3,) [m] through which the planes go: that of the cell nearest the mean of those reached."""
-    reached = np.flatnonzero(found.reached.ravel())
-    cells = np.arange(found.grid.cells) if not len(reached) else reached
-    at = np.stack(np.unravel_index(cells, found.grid.shape), axis=-1)
+    reached = found.reached.reshape(found.grid.shape)
+    at = np.argwhere(reached if reached.any() else ~reached)
     return found.grid.low_centre + found.grid.size * np.round(at.mean(axis=0))
 
 
@@ -97,10 +96,8 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     points, base = found.grid.centres(), scene.body.T_world_base
     points = points @ base[:3, :3].T + base[:3, 3]
     sizes, shape = found.grid.size, found.grid.shape
-    across = next((k for k in (1, 0, 2) if shape[k] > 1), 0) if found.grid.poses is None else 0
-    plane = np.zeros(len(yes), dtype=int)
-    if found.grid.poses is None:
-        plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]
+    across = next((k for k in (1, 0, 2) if shape[k] > 1), 1) if found.grid.poses is None else 1
+    plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]  # single poses are all in one
     big = 0.55 * float(sizes[sizes > 0].min()) if (sizes > 0).any() else 0.01 * scene._extent()
     used = np.unique(plane[yes])
     for k in used:

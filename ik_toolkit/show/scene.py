@@ -65,23 +65,29 @@ class Scene(InCell):
             self.frame(np.linalg.inv(self.body.T_world_base) @ T, name, self._size(name, 0.09))
             if several:
                 self.name(name, self.robot.tips[k], below=True)
-        with self._with_result():
-            if model is not None and around != self._around:
-                animation.draw_obstacles(self, model)
-            self._around = around
-            animation.draw_result(self, what, motion)
-            for name, (tip, T) in targets.items():
-                label = "" if name != "target" else "targets" if several else "target"
-                self.frame(T, name, self._size(name, 0.14), label)
-                if several:
-                    self.name(name, f"target of {tip}")
-            if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
-                self._say("robot", (css(SLATE), "1 (solid)"))
-                self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
-                more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
-                self.say(f"{len(rows)} configurations{more}")
-            if cloud is not None:
-                self.cloud(points, success)
+        before = {*self._boxes}
+        if model is not None and around != self._around:
+            animation.draw_obstacles(self, model)
+        self._around = around
+        if motion is not None:
+            animation.animate(self, motion)
+        elif hasattr(what, "history"):
+            if what.history is not None:
+                animation.draw_solve(self, what)
+            self.say(f"{what.solver}: {what.status.name}", what.message)
+        for name, (tip, T) in targets.items():
+            label = "" if name != "target" else "targets" if several else "target"
+            self.frame(T, name, self._size(name, 0.14), label)
+            if several:
+                self.name(name, f"target of {tip}")
+        if len(rows) > 1 and motion is None:
+            self._say("robot", (css(SLATE), "1 (solid)"))
+            self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
+            more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
+            self.say(f"{len(rows)} configurations{more}")
+        if cloud is not None:
+            self.cloud(points, success)
+        self._shown |= {*self._boxes} - before
         self._captioned = self.window.about["lines"] is not lines
         self._follow(rows[0])
 
@@ -203,9 +209,8 @@ class Scene(InCell):
     def name(self, path: str, text: str, below: bool = False) -> None:
         """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
         self._known(path)
-        label = (path, read_text(text, "text"), 6 if below else -24)
-        self._names = [*(one for one in self._names if one[0] != path), label]
-        self.window.say(names=self._names)
+        others = [one for one in self.window.about["names"] if one[0] != path]
+        self.window.say(names=[*others, (path, read_text(text, "text"), 6 if below else -24)])
 
     def move(self, T_base: Any, name: str = "target") -> None:
         """Move a drawn frame or shape to another pose (4, 4), pin.SE3 or position (3,) [m].
@@ -256,25 +261,6 @@ class Scene(InCell):
             poses = np.concatenate([poses, np.array([self.body.tips(q)[drawn] for q in Q])], axis=1)
             paths += [numbered("tip", k) for k in drawn]
         self.window.animate(paths, poses, labels, fps, first)
-
-    def converge(self, result: Any) -> None:
-        """Animate a solve, a Result with history: the iterates of the attempt that found the result, ending there.
-
-        Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
-        """
-        if getattr(result, "history", None) is None:
-            raise InvalidOption(
-                "there is nothing to animate: a Result with history is needed, from solve(..., history=True)"
-            )
-        with self._with_result():
-            animation.draw_solve(self, result)
-
-    def follow(self, result: Any) -> None:
-        """Show a tracking run (TrackResult): the arm moving in real time, its trail and the requested path."""
-        if not hasattr(result, "target_xyz"):
-            raise InvalidOption(f"there is nothing to follow: a TrackResult is needed, not {result!r:.60}")
-        with self._with_result():
-            animation.draw_run(self, result)
 
     # ---------------------------------------------------------------------------------------------------- the page
     def html(self) -> str:

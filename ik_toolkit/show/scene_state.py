@@ -1,8 +1,7 @@
 """Contents of a scene by name: robots and their copies, bounding boxes, legend entries, and the drawings of a result."""
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -79,7 +78,6 @@ class SceneState(Unique):
         self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
         self._boxes: dict[str, np.ndarray] = {}  # corners (2, 3) [m] of everything, world axes
         self._legend: dict[str, list[tuple[str, str]]] = {}
-        self._names: list[tuple[str, str, int]] = []
         self._grid: list[tuple[str, str]] = []
         self._shown: set[str] = set()  # names of what was drawn for a result, and is removed with it
         self._marks: dict[str, tuple[Any, ...]] = {}  # properties of each drawn frame, its size last
@@ -140,8 +138,7 @@ class SceneState(Unique):
         elif moved:
             self._bodies.pop(name, None)
             self._refresh()
-        self._names = [one for one in self._names if one[0] != name]
-        self.window.say(names=self._names)
+        self.window.say(names=[one for one in self.window.about["names"] if one[0] != name])
         self._tell()
 
     # ------------------------------------------------------------------------------------------------------- robots
@@ -205,13 +202,6 @@ class SceneState(Unique):
             self._placed[name] = poses[:1]
 
     # ---------------------------------------------------------------------------------------------- results and text
-    @contextmanager
-    def _with_result(self) -> Iterator[None]:
-        """Record the names of what is drawn in the `with` block as belonging to a result."""
-        before = {*self._boxes}
-        yield
-        self._shown |= {*self._boxes} - before
-
     def _forget(self, those: set[str]) -> None:
         """Remove what belonged to a result, with its caption and animation."""
         self._stop()
@@ -280,10 +270,8 @@ class SceneState(Unique):
     # ---------------------------------------------------------------------------------------------- sizes and places
     def drawn(self) -> dict[str, np.ndarray]:
         """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
-        found = {path: self.window.pose(path) for path in self.window.transforms}
-        for path in self._boxes.keys() & self.window.objects.keys() - found.keys():
-            found[path] = np.eye(4)
-        return found
+        still = [path for path in self._boxes if path in self.window.objects]
+        return {path: self.window.pose(path) for path in (*self.window.transforms, *still)}
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners (3,) [m] of the box around everything drawn, or around the robot at home."""
@@ -328,7 +316,6 @@ class SceneState(Unique):
             raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
         return P, good.astype(bool)
 
-    def _tips(self, q: np.ndarray) -> np.ndarray:
-        """Return the positions (tips, 3) [m] of the tips in base axes."""
-        base = self.body.T_world_base
-        return (self.body.tips(q)[:, :3, 3] - base[:3, 3]) @ base[:3, :3]
+    def _tips(self, Q: np.ndarray) -> np.ndarray:
+        """Return the positions (N, tips, 3) [m] of the tips in base axes at Q (N, n)."""
+        return np.array([[T.translation for T in self.robot.tip_poses(q)] for q in Q])

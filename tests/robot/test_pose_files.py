@@ -13,8 +13,8 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidConfiguration, InvalidTarget
 from ik_toolkit.files import inert, without_mark, write_table
+from ik_toolkit.motion.trajectory import read_motion
 from ik_toolkit.robot.pose_files import Convention, read_poses
-from ik_toolkit.show.animation import read_motion
 
 
 def poses_of(tmp_path, text):
@@ -230,7 +230,7 @@ def test_tips_whose_names_are_formulas(tmp_path):
 
 def test_a_motion_of_ragged_rows_is_refused(tmp_path):
     (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1,0,2\n0,1,0,3\n")
-    with pytest.raises(ik.IKError, match="line 2 has 4 columns, and the header 2"):
+    with pytest.raises(ik.IKError, match=r"m\.csv'.*line 2: 4 columns, more than in the header"):
         read_motion(robots.load("planar_2r"), tmp_path / "m.csv")
 
 
@@ -238,9 +238,9 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
     ("name", "text", "said"),
     [
         ("m.csv", "", "it is empty"),
-        ("m.csv", "\n,,\n", "it has no rows; the first line names the columns"),
-        ("m.csv", "joint_1,joint_2\n\n", "a header and no rows below it; the first line names the columns"),
-        ("m.csv", "joint_1,joint_2\n0,1\n\n0,one\n", "line 4: 'one' is not a number"),
+        ("m.csv", "\n,,\n", "has only blank lines; its first line names the columns, such as t,q_JOINT,"),
+        ("m.csv", "joint_1,joint_2\n\n", "has no rows of numbers below its header"),
+        ("m.csv", "joint_1,joint_2\n0,1\n\n0,one\n", "line 4: 'one' is not a finite number"),
         ("m.csv", "joint_1,joint_2\n0,\n", "no row in which every joint has a value"),
         ("m.json", "[]", "no object with joint_names"),
     ],
@@ -249,6 +249,12 @@ def test_a_motion_without_rows_says_what_is_missing(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
     with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}"):
         read_motion(robots.load("planar_2r"), tmp_path / name)
+
+
+def test_a_motion_from_a_spreadsheet_is_read_as_poses_are(tmp_path):
+    (tmp_path / "m.csv").write_text("sep=;\nt;q_joint_1;q_joint_2\n0;0,5;1\n0,1;;2\n")
+    t, Q = read_motion(robots.load("planar_2r"), tmp_path / "m.csv")
+    assert t.tolist() == [0.0] and Q.tolist() == [[0.5, 1.0]]
 
 
 def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):

@@ -1,8 +1,21 @@
 """A panel and a visitor's desk, without a browser, of the robot that a test module names as ROBOT."""
 
 import contextlib
+import types
 
 import pytest
+
+LENS = {"image_width": 800, "image_height": 600, "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 0.0), "fov": 0.7}
+
+
+@pytest.fixture(autouse=True)
+def camera(monkeypatch):
+    """The camera of a visitor's page, which the server itself has not: pages are built on it here, too."""
+    with contextlib.suppress(ImportError):
+        import viser
+
+        made = types.SimpleNamespace(**LENS, on_update=lambda call: None)
+        monkeypatch.setattr(viser.ViserServer, "camera", made, raising=False)
 
 
 @pytest.fixture(scope="module")

@@ -115,8 +115,8 @@ def test_the_panel(robot, tmp_path):
         desk.say("".join(EVIL))
         pages = [desk.status.content]
         for target in (robot.fk(robot.home), robot.fk(robot.upper)):
-            desk.session.solve(target.homogeneous)
-            desk._verdict()
+            desk.goals[0].put(target.homogeneous)
+            desk._guard(desk._solve)()
             pages += [desk.status.content, desk.outcome.content, desk.pose.content]
         for source in (EVIL[0].replace("<", ""), f"nowhere/{EVIL[1][3:]}", EVIL[0]):  # the last is taken for a URDF
             desk._guard(lambda source=source: desk._switch(source))()

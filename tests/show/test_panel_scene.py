@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption, InvalidTarget
-from ik_toolkit.show.animation import read_motion
+from ik_toolkit.errors import IKError, InvalidOption
+from ik_toolkit.motion.trajectory import read_motion
 from ik_toolkit.show.panel.scene_tab import null_directions, slide
 from ik_toolkit.show.panel.session import Session
 
@@ -140,7 +140,7 @@ def test_self_motion_by_slider(desk):
 
 
 def test_boxes_in_the_page(desk):
-    assert "clearance" in desk.facts.content and "manipulability" in desk.facts.content
+    assert "Clearance" in desk.facts.content and "manipulability" in desk.facts.content
     around = desk.around
     around.size.value = "0.2 0.2 0.2"
     around.add()
@@ -148,16 +148,17 @@ def test_boxes_in_the_page(desk):
     (name,) = around.handles
     around.handles[name].position = tuple(desk.stage.tips[0].position)
     around._moved(name)
-    assert "in collision" in desk.facts.content and name in desk.facts.content
+    assert "In collision" in desk.facts.content and name in desk.facts.content
     assert desk.stage.ellipsoids[0].visible
     desk._again()  # as after a change of units
-    assert list(desk.around.handles) == [name] and "in collision" in desk.facts.content
+    assert list(desk.around.handles) == [name] and "In collision" in desk.facts.content
     desk.around.clear()
-    assert "clearance" in desk.facts.content and desk.session.boxes == {}
-    for text in ("1 2", "1 2 0"):
+    assert "Clearance" in desk.facts.content and desk.session.boxes == {}
+    for text, said in (("1 2", "the size of the box"), ("1 2 0", "the size of a box must be 3 positive numbers")):
         desk.around.size.value = text
-        with pytest.raises(InvalidTarget, match="the size of the box"):
+        with pytest.raises(IKError, match=said):
             desk.around.add()
+    assert desk.session.boxes == {}
 
 
 def test_a_new_box_is_clear_of_arm_targets_and_other_boxes(desk):

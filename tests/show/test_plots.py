@@ -7,7 +7,6 @@ from robots import CONTINUOUS, load
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidOption
 from ik_toolkit.show import plots
-from ik_toolkit.show.plots import attempts
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 
@@ -53,9 +52,10 @@ def test_a_failed_solve_shows_the_attempt_of_its_answer():
     ):  # proven out of reach in three attempts; 250 attempts fail
         result = ik.solve(robot, ik.pose(target, rpy=rpy), history=True)
         assert not result.success and result.attempt > 0
-        won, others = attempts(result.history, result.q)
-        assert np.array_equal(result.history["q"][won[-1]], result.q)
-        assert set(result.history["attempt"][won]) == {result.attempt}
+        Q, position, _, others = plots.iterates(result)
+        assert np.array_equal(Q[-1], result.q)
+        (won,) = np.nonzero(result.history["attempt"] == result.attempt)
+        assert np.array_equal(position, result.history["position_error"][won])
         assert (np.diff(won)[:-1] == 1).all()  # the last row is the closest configuration, found after all attempts
         assert not set(np.concatenate(others)) & set(won)
         drawn = plots.convergence(result).axes[0].get_lines()

@@ -143,7 +143,7 @@ def test_a_tracking_run_becomes_an_animation_in_real_time():
     assert made["count"] == len(run.t) and np.isclose(made["fps"], 100.0)
     tip = made["paths"].index("/meshcat/tip")
     assert np.allclose(poses[:, tip, :, 3], run.xyz, atol=1e-5)
-    assert {"trail", "path"} <= set(scene.drawn())
+    assert {"trail/0", "path"} <= set(scene.drawn())
 
 
 def test_several_tips_are_drawn_together():

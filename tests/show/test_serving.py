@@ -55,7 +55,7 @@ def test_live_scene_is_local_and_needs_its_address():
 
     async def talk():
         client = await websocket_connect(HTTPRequest(socket_url, headers={"Origin": root.rstrip("/")}))
-        first = [await client.read_message() for _ in range(len(scene.window.snapshot()) + 1)]
+        first = [await client.read_message() for _ in range(len(scene.window.snapshot(scene.window.paths)) + 1)]
         scene.show(robot.lower * 0.5)
         moved = [await client.read_message() for _ in range(len(scene.body.parts))]
         client.close()

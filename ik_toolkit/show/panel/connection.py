@@ -109,8 +109,7 @@ class Visit:
         self.goals: list[Goal] = []
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # a server, unlike a client, has no camera
-            client.camera.on_update(lambda _: self._resized())
+        client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:
         """End the visitor's thread."""
@@ -155,8 +154,7 @@ class Visit:
 
     def _dialog(self, title: str, content: str) -> None:
         """Show HTML in a window of its own with a button that closes it."""
-        modal = self.gui.add_modal(title)
-        with modal:
+        with self.gui.add_modal(title) as modal:
             self.gui.add_html(content)
             self.gui.add_button("Close").on_click(lambda _: modal.close())
 

@@ -1,6 +1,5 @@
 """The panel's Learn tab: joint values to n, o, a, p and back, with the D-H table, the closed form and its branches."""
 
-import html
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -12,16 +11,16 @@ from ...kernel.counted_error import KIND
 from ...robot.pose import LAST
 from ...solvers.closed_form import fits
 from ...solvers.explain.dh_table import dh_blocks, dh_of
-from ...solvers.explain.explanation import Explanation, target_table
+from ...solvers.explain.explanation import target_table
 from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, digits, to_html, unit_of
-from ...solvers.explain.worked_solution import Branch, WorkedSolution
+from ...solvers.explain.worked_solution import Branch
 from ...solvers.registry import find_row
 from ...solvers.result import Result
 from ...solvers.solve import solve
 from ...style import BAD, GOOD
 from .connection import QUIET, empty
 from .session import Session
-from .tables import as_sentence
+from .tables import as_sentence, note_html
 
 CHOSEN = (31, 95, 153)  # colour of the button of the branch shown
 FREEDOMS = 6  # with fewer joints the target is a position, unless a closed form solves poses
@@ -39,7 +38,7 @@ class Lesson:
         """Start a lesson on the session's robot, which has one tip."""
         self.session = session
         self.robot: Any = session.robot
-        self.made: Explanation | None = None
+        self.made: Any = None
         self.shown = 0
         self.T = np.eye(4)
         kind = KIND.pose if fits(self.robot, KIND.pose) else KIND.position if fits(self.robot, KIND.position) else None
@@ -60,7 +59,7 @@ class Lesson:
 
         Raises InvalidConfiguration.
         """
-        return self.session.read_joints(values, shown, [self.scale(i) for i in range(self.robot.n)], True)
+        return self.session.read_joints(values, shown, self.scale, True)
 
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
         """Return the columns n, o, a and p [mm] of a pose (4, 4)."""
@@ -70,9 +69,7 @@ class Lesson:
     def sample(self) -> np.ndarray | None:
         """Return the pose (4, 4) computed in the robot's paper, as printed, or None."""
         given = self.session.entry.sample
-        if given is None or not self.posed:
-            return None
-        return matrix_of(given)
+        return matrix_of(given) if given is not None and self.posed else None
 
     def inverse(self, columns: dict[str, Any]) -> Result:
         """Solve for columns n, o, a and p [mm] from the current q, and explain the result. Raises InvalidTarget."""
@@ -82,12 +79,10 @@ class Lesson:
 
     def at(self, value: float) -> Result:
         """Solve the same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
-        assert self.made is not None and self.worked is not None and self.worked.free is not None
         free, label = self.worked.free, self.label
-        row = find_row(self.made.form)
-        result = self._explain(self.T, row.load()(**{free.parameter: value / self.scale(free.joint)}))
-        same = [k for k, branch in enumerate(self.branches) if branch.label == label]
-        self.shown = same[0] if same else self.shown
+        form = find_row(self.made.form).load()
+        result = self._explain(self.T, form(**{free.parameter: value / self.scale(free.joint)}))
+        self.shown = next((k for k, branch in enumerate(self.branches) if branch.label == label), self.shown)
         return result
 
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
@@ -99,8 +94,8 @@ class Lesson:
         return result
 
     @property
-    def worked(self) -> WorkedSolution | None:
-        """The closed form worked out for the last inverse solution, or None."""
+    def worked(self) -> Any:
+        """The WorkedSolution of the last inverse solution by a closed form, or None."""
         return self.made.worked if self.made is not None else None
 
     @property
@@ -153,11 +148,9 @@ class Learn:
         self.found = gui.add_folder("Branches", visible=False)
         with gui.add_folder("D-H table"):
             self.table = gui.add_html("")
-        self.form = gui.add_folder("Closed form", visible=False)
-        with self.form:
+        with gui.add_folder("Closed form", visible=False) as self.form:
             self.formulas = gui.add_html("")
-        self.way = gui.add_folder("Iterations", visible=False)
-        with self.way:
+        with gui.add_folder("Iterations", visible=False) as self.way:
             self.iterations = gui.add_html("")
         self.free: Any = None
         self.buttons: list[Any] = []
@@ -228,46 +221,40 @@ class Learn:
         try:
             result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
         except IKError as error:
-            self.outcome.content = said(as_sentence(str(error)), BAD)
+            self.outcome.content = note_html(str(error), BAD)
             raise
         self._branches()
-        self._tell(result)
         self._go(result.q)
-        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
-        goal[:3, 3] = self.lesson.T[:3, 3]
-        self.desk._put({self.robot.tip: goal})
-        self._drawn(result)
+        self._tell(result)
 
     def _at(self, value: float) -> None:
         """Handle a change of the free parameter."""
         result = self.lesson.at(value)
-        self._tell(result)
         self.pick(self.lesson.shown)
-        self._drawn(result)
-
-    def _drawn(self, result: Result) -> None:
-        """Draw the line to a target that is not reached."""
-        if not result.success:
-            self.desk.stage.gaps({self.robot.tip: self.lesson.T})
+        self._tell(result)
 
     def _tell(self, result: Result) -> None:
+        """Write the outcome, and show the target, with a line to one that is not reached."""
+        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
+        goal[:3, 3] = self.lesson.T[:3, 3]
+        self.desk._put({self.robot.tip: goal})
         words = f"{as_sentence(result.message)} {as_sentence(result.notice)}".strip()
-        self.outcome.content = said(words, GOOD if result.success else BAD)
-        self.desk.say(words, GOOD if result.success else BAD)
+        color = GOOD if result.success else BAD
+        self.outcome.content = note_html(words, color)
+        self.desk.say(words, color)
+        self.desk.stage.gaps(not result.success)
 
     def _branches(self) -> None:
         """Build the branch buttons and the slider of the free parameter."""
-        lesson, made = self.lesson, self.lesson.made
-        assert made is not None
+        lesson = self.lesson
         empty(self.found)
         self.free, self.buttons = None, []
         span = lesson.span()
         with self.found:
             if span is not None and span[1] - span[0] > STEP:
-                assert lesson.worked is not None and lesson.worked.free is not None
                 i = lesson.worked.free.joint
                 name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
-                at = float(np.clip(lesson.scale(i) * made.q[i], *span))
+                at = float(np.clip(lesson.scale(i) * lesson.made.q[i], *span))
                 slider = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
                 self.free = self.desk._ask(slider, "free", self._at)
             self.words = self.gui.add_html("")
@@ -292,7 +279,6 @@ class Learn:
     def _write(self) -> None:
         """Update formulas, text and button colours for the branch shown."""
         lesson, made = self.lesson, self.lesson.made
-        assert made is not None
         for k in range(len(self.buttons), len(lesson.branches)):
             with self.found:
                 self.buttons.append(self.desk._button("", "branch", lambda k=k: self.pick(k)))
@@ -317,11 +303,6 @@ class Learn:
             self.iterations.content = to_html(made.iteration_blocks())
         others = [branch for k, branch in enumerate(lesson.branches) if k != lesson.shown]
         self.desk.stage.ghost(others[0].q if len(others) == 1 else None)
-
-
-def said(words: str, color: str) -> str:
-    """Write a sentence in a colour as HTML."""
-    return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words)}</div>'
 
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:

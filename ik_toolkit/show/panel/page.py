@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import IKError
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
-from ...text import how_many
+from ...text import how_many, parameter
+from ...validate import positive
 from ..body import Body
 from .connection import PLAIN, Past, Visit, empty
 from .learn_tab import Learn
@@ -43,10 +43,8 @@ class PanelPage(Visit):
             self.gui.main_panel.dock_right()
             self._build_controls()
         self.show()
-        words = (
-            body.notice
-            or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {how_many(s.robot.n, 'joint')}"
-        )
+        route = f"{s.robot.base} to {' and '.join(s.robot.tips)}"
+        words = body.notice or f"{s.robot.name}: {route}, {how_many(s.robot.n, 'joint')}"
         self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
         waiting = self.status.content
         self.worker.post("prepare", self._guard(self.session.prepare))
@@ -140,9 +138,8 @@ class PanelPage(Visit):
     def _build_robot(self) -> None:
         s, gui = self.session, self.gui
         self._ask(gui.add_checkbox("Show joint frames", self.frames), "frames", self._show_frames)
-        words = f"<p>{html.escape(s.entry.description)}</p><p>Joint axes at home, in base axes</p>"
         axes = table_html(s.axes(), ("joint", "kind", "axis", "through [m]"))
-        gui.add_html(f'<div style="padding:4px 12px;font-size:12px">{words}</div>{axes}')
+        gui.add_html(note_html(s.entry.description) + note_html("joint axes at home, in base axes") + axes)
         if self.files:
             hint = "A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on."
             path = gui.add_text("Other robot", "", hint=hint)
@@ -153,7 +150,7 @@ class PanelPage(Visit):
         s = self.session
         with self.client.atomic():
             self.stage.show(s.q)
-            self.stage.gaps({})
+            self.stage.gaps(False)
             for i, slider in enumerate(self.sliders):
                 rounded = round(s.scale(i) * float(s.q[i]), s.digits(i)) + 0.0
                 slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
@@ -185,8 +182,7 @@ class PanelPage(Visit):
 
     def _moved(self) -> None:
         s = self.session
-        scales = [s.scale(i) for i in range(s.robot.n)]
-        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, scales, s.limits)
+        s.q = s.read_joints([slider.value for slider in self.sliders], self.shown, s.scale, s.limits)
         self.show()
 
     def _push(self) -> None:
@@ -267,13 +263,7 @@ class PanelPage(Visit):
         fields = s.fields()
         typed = {name: handle.value for name, handle in self.typed_parameters.items()}
         s.parameters = {name: text for name, text in typed.items() if text.strip() != str(fields[name])}
-        try:
-            tolerance = float(self.tolerance.value)
-        except ValueError:
-            tolerance = -1.0
-        if not 0.0 < tolerance < 1.0:
-            raise IKError(f"the tolerance must be a number above 0 and below 1, not '{self.tolerance.value}'")
-        s.tolerance = tolerance
+        s.tolerance = positive(parameter("tolerance", self.tolerance.value), "the tolerance")
         return self._joined({goal.tip: goal.typed() for goal in self.goals})
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
@@ -284,22 +274,14 @@ class PanelPage(Visit):
         target = self._typed()
         self.found.hide()
         self.say("solving ... (a method's first use compiles it, some seconds)")
-        result = self.session.solve(target)
-        self._verdict()
-        self.chart.show(result)
-
-    def _verdict(self) -> None:
-        result = self.session.result
-        if result is None:
-            return
+        result, left = self.session.solve(target), self.session.followed
         self.show()
-        left = self.session.followed
-        if left is not None:
-            self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
+        self.stage.gaps(left is not None)
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
         near = "" if left is None else f" {as_sentence(left.message)}"
         self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
         self._show_figures(advice)
+        self.chart.show(result)
 
     def _show_figures(self, advice: str = "") -> None:
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
@@ -317,7 +299,7 @@ class PanelPage(Visit):
             return
         found = self.session.follow(self._joined(targets))
         self.show()
-        self.stage.gaps({} if found.success else targets)
+        self.stage.gaps(not found.success)
         self.say(as_sentence(found.message), GOOD if found.success else PLAIN)
         self._show_figures()
         self._hide_answer()
@@ -347,7 +329,7 @@ class PanelPage(Visit):
         self.outcome.visible = False
         self.say("searching ...")
         words, details = s.solve_all(target)
-        self.stage.gaps({})
+        self.stage.gaps(False)
         self.found.show(details)
         self.say(as_sentence(words), GOOD if s.solutions else BAD)
 
@@ -360,4 +342,5 @@ class PanelPage(Visit):
 
     def _show_frames(self, visible: bool) -> None:
         self.frames = visible
-        self.stage.show_frames(visible)
+        for frame in self.stage.axes:
+            frame.visible = visible

@@ -1,14 +1,13 @@
 """The panel's Scene tab: contacts, clearance, box obstacles, manipulability, and self-motion while the tips stay in place."""
 
-import html
 from typing import Any
 
 import numpy as np
 
-from ...errors import InvalidTarget
 from ...solvers.solve import Solver
 from ...style import BAD
 from ...text import figure, length, vector
+from .tables import note_html
 from .viser_scene import Stage
 
 BOX = (148, 103, 60)
@@ -44,10 +43,8 @@ class Around:
         self.changed()
 
     def add(self) -> None:
-        """Add a box of the typed size beside the arm, clear of it. Raises InvalidTarget if the size is wrong."""
+        """Add a box of the typed size beside the arm, clear of it. Raises InvalidTarget, InvalidOption."""
         size = vector(self.size.value, "the size of the box x y z [m]", 3)
-        if min(size) <= 0.0:
-            raise InvalidTarget("the size of the box x y z [m] must be positive")
         s, clear = self.session, CLEAR * self.stage.size
         name = s.add_box(size, np.eye(4))
         for T in self.stage.spots(size):
@@ -67,15 +64,14 @@ class Around:
         self.changed()
 
     def _draw(self, name: str, size: Any, T: np.ndarray) -> None:
-        gizmo = self.handles[name] = self.stage.box(name, size, T, BOX)
-        self.desk._on(gizmo, name, lambda: self._moved(name))
+        self.desk._on(self.stage.box(name, size, T, BOX), name, lambda: self._moved(name))
 
     def _moved(self, name: str) -> None:
         self.session.move_box(name, self.stage.dragged(self.handles[name]))
         self.changed()
 
     def show(self) -> str:
-        """Update the drawings to the session's q; return a line of HTML on contacts, clearance and manipulability."""
+        """Update the drawings to the session's q; return HTML with a sentence on contacts, clearance and manipulability."""
         s, stage = self.session, self.stage
         touching, near = s.contacts()
         words, color = "no pair of shapes to test", "inherit"
@@ -85,13 +81,11 @@ class Around:
             words = f"clearance {length(near.distance)} ({near.pair[0]} to {near.pair[1]})"
         close = near is not None and not touching and near.distance < NEAR * stage.size and self.distance.value
         stage.line("near", [near.points] if close and near else [], (70, 70, 70))
-        for k, (axes, radii) in enumerate(s.ellipsoids().values()):
+        sizes = s.manipulability()
+        for k, (tip, (axes, radii)) in enumerate(s.ellipsoids().items()):
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
-        values = []
-        for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {figure(size)}")
-        words = html.escape("; ".join([words, *values]))
-        return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
+            words += f"; manipulability{f' of {tip}' if len(sizes) > 1 else ''} {figure(sizes[tip])}"
+        return note_html(words, color)
 
 
 STEP = 0.02  # [rad or arm reaches] step between corrections; a tip's error grows with its square

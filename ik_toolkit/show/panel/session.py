@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -124,15 +124,14 @@ class Session:
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
     def read_joints(
-        self, fields: Sequence[float], shown: list[float], scales: Sequence[float], limits: bool
+        self, fields: Sequence[float], shown: list[float], scale: Callable[[int], float], limits: bool
     ) -> np.ndarray:
-        """Return q (n,) from typed values over scales; what is as it was shown, rounded, keeps its digits.
+        """Return q (n,) from typed values, which are q times the scale of each joint.
 
-        Raises InvalidConfiguration.
+        What is as it was shown, rounded, keeps its digits. Raises InvalidConfiguration.
         """
-        q, values = self.q.copy(), np.array(fields, dtype=float)
-        typed = values != np.array(shown)
-        q[typed] = values[typed] / np.array(scales)[typed]
+        values = np.array(fields, dtype=float) / [scale(i) for i in range(self.robot.n)]
+        q = np.where(np.array(fields) != shown, values, self.q)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
         return np.clip(q, self.robot.lower, self.robot.upper) if limits else q

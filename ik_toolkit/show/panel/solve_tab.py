@@ -104,8 +104,7 @@ class SolutionsTab:
     def __init__(self, desk: Any) -> None:
         """Build the controls on a visitor's page, hidden until there are solutions."""
         self.session, self.ghost, gui = desk.session, desk.stage.ghost, desk.gui
-        self.folder = gui.add_folder("Solutions", visible=False)
-        with self.folder:
+        with gui.add_folder("Solutions", visible=False) as self.folder:
             self.table = gui.add_html("")
             hint = "Shown as a ghost, like a column you point at."
             self.number = desk._on(gui.add_number("Solution", 1, min=1, step=1, hint=hint), "ghost", self.point)

@@ -20,9 +20,10 @@ def as_sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
-def note_html(text: str) -> str:
+def note_html(text: str, color: str = "inherit") -> str:
     """Write a sentence in small print, or nothing if it is empty."""
-    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(as_sentence(text))}</p>' if text else ""
+    style = f"padding:2px 12px;margin:0;font-size:12px;color:{color}"
+    return f'<p style="{style}">{html.escape(as_sentence(text))}</p>' if text else ""
 
 
 def table_html(rows: Any, head: Any = None) -> str:

@@ -52,7 +52,8 @@ class Handle:
         path = stage.path(f"target/{k}")
         self.gizmo = scene.add_transform_controls(path, scale=PICTURE.arrow * stage.size, disable_sliders=True)
         self.name = scene.add_label(f"{path}/name", name, anchor="bottom-left") if name else None
-        self._put(T)
+        self.target = T
+        _place(self.gizmo, stage.body.T_world_base @ T)
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
         look: dict[str, Any] = {"color": PICTURE.amber, "opacity": 0.7, "cast_shadow": False}
         self.ball = scene.add_icosphere(f"{path}/ball", PICTURE.ball * PICTURE.arrow * stage.size, **look)
@@ -61,7 +62,11 @@ class Handle:
 
     def put(self, target: np.ndarray) -> None:
         """Move to T_base_target (4, 4), or to a position (3,) with the present rotation, and keep it in the picture."""
-        self._put(target)
+        if target.ndim == 1:
+            place, target = target, self.target.copy()
+            target[:3, 3] = place
+        self.target = target
+        _place(self.gizmo, self.stage.body.T_world_base @ target)
         self.stage.keep_in_view()
 
     def _moved(self, event: Any, dragged: Callable[[], None]) -> None:
@@ -85,13 +90,6 @@ class Handle:
 
         return carry
 
-    def _put(self, target: np.ndarray) -> None:
-        if target.ndim == 1:
-            place, target = target, self.target.copy()
-            target[:3, 3] = place
-        self.target = target
-        _place(self.gizmo, self.stage.body.T_world_base @ target)
-
     def read(self) -> np.ndarray:
         """Return T_base_target (4, 4) to which the visitor has dragged the arrows and rings."""
         self.target = self.stage.dragged(self.gizmo)
@@ -105,7 +103,7 @@ class Handle:
 
 
 class Stage:
-    """The drawing of a robot in a viser client (or server), with a handle for the target of each tip."""
+    """The drawing of a robot in a viser client, with a handle for the target of each tip."""
 
     def __init__(
         self,
@@ -148,7 +146,9 @@ class Stage:
         ]
         self.lines: dict[str, Any] = {}
         self.boxes: dict[str, Any] = {}
-        self.ellipsoids: dict[int, Any] = {}
+        shape, look = primitive("sphere", (1.0,)), {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
+        balls = [self.path(f"ellipsoid/{k}") for k in range(len(targets))]
+        self.ellipsoids = [scene.add_mesh_simple(ball, *shape, visible=False, **look) for ball in balls]
         self.shade: list[Any] = []
         self.ghosted: np.ndarray | None = None
         self.poses = body.placements(q)
@@ -182,13 +182,11 @@ class Stage:
         for handle, part, T in zip(handles, self.body.parts, poses, strict=True):
             _place(handle, T, bar=part.end is not None)
 
-    def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
-        """Draw a line from each tip to its target (4, 4) or (3,), to show what is missing; {} removes the lines."""
-        ends = [T for T in targets.values() if T is not None]
-        base = self.body.T_world_base
-        goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
-        tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=False) if T is not None]
-        self.line("gap", [*zip(tips, goals, strict=True)], RED)
+    def gaps(self, shown: bool) -> None:
+        """Draw a line from each tip to its target, to show what is missing, or remove the lines."""
+        pairs = [(tip, handle.gizmo) for tip, handle in zip(self.tips, self.handles, strict=True)]
+        ends = [(tip.position, gizmo.position) for tip, gizmo in pairs if shown and gizmo.visible]
+        self.line("gap", ends, RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
         """Also show the robot at q (n,), translucent, without parts that coincide with the robot's; None removes it."""
@@ -256,26 +254,14 @@ class Stage:
         R = self.body.T_world_base[:3, :3] @ axes
         if np.linalg.det(R) < 0.0:
             R[:, 2] *= -1.0
-        ball = self.ellipsoids.get(k)
-        if ball is None:
-            if not visible:
-                return
-            draw, look = self.client.scene.add_mesh_simple, {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
-            ball = self.ellipsoids[k] = draw(self.path(f"ellipsoid/{k}"), *primitive("sphere", (1.0,)), **look)
+        ball = self.ellipsoids[k]
         ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
         ball.visible = visible
         _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
 
-    def show_frames(self, visible: bool) -> None:
-        """Show or hide the joints' axes."""
-        for frame in self.axes:
-            frame.visible = visible
-
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
-        camera = getattr(self.client, "camera", None)
-        if camera is None:  # a server, unlike a client, has no camera
-            return
+        camera = self.client.camera
         # [pixels] the picture is as wide as the page until the controls are docked beside it
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
@@ -286,9 +272,7 @@ class Stage:
     @np.errstate(all="ignore")  # a page may send any numbers for camera and targets
     def keep_in_view(self) -> None:
         """Move the camera back along its viewing direction until all targets are in view, and later forward again."""
-        camera = getattr(self.client, "camera", None)
-        if camera is None:
-            return
+        camera = self.client.camera
         seen = [*(handle.gizmo for handle in self.handles if handle.gizmo.visible), *self.boxes.values()]
         goals = np.array([gizmo.position for gizmo in seen])
         w, x, y, z = camera.wxyz
