@@ -22,12 +22,8 @@ import ik_toolkit as ik
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "_static"
 SIZE = (1000, 600)
 COLUMNS, SMALL = 4, (300, 220)  # columns of a sheet of solutions, and pixels of each
-GRAPHICS = (
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)  # WebGL without a card
+# WebGL without a card
+GRAPHICS = "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
 MOVING = (900, 600)  # pixels of the animation
 FRAMES, PAUSE, COLOURS = 34, 70, 128  # frames one way, [ms] per frame, and colours: under a megabyte in all
 POINTER = """() => { const svg = document.createElement("div");

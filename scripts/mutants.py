@@ -22,14 +22,8 @@ PACKAGE = Path(__file__).resolve().parent.parent / "ik_toolkit"
 ROOMS_OF_KERNELS = ("kernel", "servo", "paths")  # a file there is compiled if it takes a decorator from compile/jit.py
 of_kernel = True  # whether what runs uncompiled is changed; else plain Python (see `in_package`)
 REACHED = "__reached__"
-NUMBAS = (
-    "overload",
-    "intrinsic",
-    "lower_builtin",
-    "lower_getattr",
-    "infer",
-    "register_model",
-)  # decorators of functions that numba calls
+# decorators of functions that numba calls
+NUMBAS = "overload", "intrinsic", "lower_builtin", "lower_getattr", "infer", "register_model"
 LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # functions of array_view.py called only by those
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,

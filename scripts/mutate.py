@@ -192,9 +192,8 @@ class Run:
                     marks[:] = bytes(len(marks))
                 for cache in self.caches:
                     cache.cache_clear()
-                for limit in (
-                    (2.0 * self.slow,) if not self.given.rooms else (COMPILING, 2.0 * self.slow)
-                ):  # the marks take time
+                # the marks take time
+                for limit in (2.0 * self.slow,) if not self.given.rooms else (COMPILING, 2.0 * self.slow):
                     passed = self.outcome.of(self.items[name], None, limit)
                     if self.outcome.seconds < self.slow:
                         break  # otherwise something may have been compiled: again

@@ -201,9 +201,8 @@ class Command(typer.core.TyperCommand):
             name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
         }
         args = _joined(args, several)
-        if (
-            ctx.resilient_parsing
-        ):  # This is a completion in the shell; a last option without a value would hide the arguments.
+        # This is a completion in the shell; a last option without a value would hide the arguments.
+        if ctx.resilient_parsing:
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):

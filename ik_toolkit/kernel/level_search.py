@@ -115,9 +115,8 @@ def search_by_levels(rule, p, job, level, plain, excess):
     spent, least, best = Spent(0, 0, 0), WORST, Minimum(WORST, WORST, 0, 0, False)
     tries, near, far, found, cut_off = 0, 0, 0, 0, 0
     while True:
-        least = (
-            WORST if tries == plain else least
-        )  # From here on `least` is a rank, which cannot be compared with the sums of squares of the earlier attempts.
+        if tries == plain:
+            least = WORST  # From here on it is a rank, which cannot be compared with the sums of squares of the earlier attempts.
         phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
         index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far

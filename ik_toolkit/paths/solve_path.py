@@ -306,9 +306,8 @@ def _result(
         elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
-    plain = (
-        problem.follower is problem.single
-    )  # With a priority the pose need not be met, so its cause would be another one.
+    # With a priority the pose need not be met, so its cause would be another one.
+    plain = problem.follower is problem.single
     cause = _cause(problem, T[missing[0].index]) if missing and plain else ""
     result = replace(result, message=path_sentence(result, needed, allowed, cause))
     o = problem.single.options

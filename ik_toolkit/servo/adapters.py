@@ -50,9 +50,8 @@ class Published:
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
-        self.chosen = any(
-            one is not None for one in (method.kappa, method.kp, method.share)
-        )  # whether the caller chose the gains
+        # whether the caller chose the gains
+        self.chosen = any(one is not None for one in (method.kappa, method.kp, method.share))
         self.memory = robot.n  # length of the method's memory between steps
         self.loop = servo()
         self.options: Options = make_options(dict(counting))

@@ -212,9 +212,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        if any_of(
-            given.counts[1]
-        ):  # When an error with slack leaves the task, its axis must be a direction of its own.
+        # When an error with slack leaves the task, its axis must be a direction of its own.
+        if any_of(given.counts[1]):
             clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
     clear(s.lost)

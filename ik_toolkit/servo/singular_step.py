@@ -55,9 +55,8 @@ class SingularThresholds(NamedTuple):
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
     side: float = 0.2  # [s] for which the side from which the joints came is remembered; longer than an oscillation
-    gain: float = (
-        2.0 / 3.0
-    )  # share of an error fed back per sample by methods without a gain; the best one for method cv
+    # share of an error fed back per sample by methods without a gain; the best one for method cv
+    gain: float = 2.0 / 3.0
     close: float = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 
 

@@ -59,9 +59,8 @@ def finish_failure(outcome: Any) -> Any:
     """Finish the answer of a search that has not converged, see `finish_failures`."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    if (
-        outcome.row[AT.status] in ENDED
-    ):  # TOO_FAR, which may occur in every cycle of a control loop, is not among these.
+    # TOO_FAR, which may occur in every cycle of a control loop, is not among these.
+    if outcome.row[AT.status] in ENDED:
         _finish(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 

@@ -51,16 +51,14 @@ class Calibration:
     rank_drawn: int  # number of unknowns that the data would determine at the nominal arm
     rank_anywhere: int  # number of unknowns that as many poses, spread over the arm's range, would determine
     noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
-    before: (
-        np.ndarray
-    )  # (N,) residual of each measurement for the nominal arm [m]; an unknown base is placed where it fits best
+    # (N,) residual of each measurement for the nominal arm [m]; an unknown base is placed where it fits best
+    before: np.ndarray
     after: np.ndarray  # (N,) residuals for the corrected arm [m]
     turned: np.ndarray  # (2, N) orientation residuals [rad] before and after, of measured poses; else empty
     held_out: float | None  # RMS residual [m] of measurements left out of the fit (5-fold cross-validation)
     outliers: tuple[int, ...]  # indices of the measurements that were left out of the fit
-    reversed: dict[
-        str, float
-    ]  # joints whose sign is opposite to the model's; ratio of the errors with all of them reversed to those before
+    # joints whose sign is opposite to the model's; ratio of the errors with all of them reversed to those before
+    reversed: dict[str, float]
     width: float  # half width of a 95 % interval, in standard deviations
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
     condition: float  # ratio of the largest to the least singular value of the free unknowns

@@ -204,21 +204,16 @@ class ArmFit:
         groups = [one.group for one in self.arm.unknowns]
         order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
         left, fixed = N.copy(), []
-        for least in (
-            0.5,
-            0.25,
-            0.1,
-            1e-3,
-        ):  # Rows far from linear dependence are chosen first, so that the choice depends little on the data.
+        # Rows far from linear dependence are chosen first, so that the choice depends little on the data.
+        for least in (0.5, 0.25, 0.1, 1e-3):
             for p in order:
                 size = float(np.linalg.norm(left[p]))
                 if size > least and len(fixed) < N.shape[1]:
                     along = left[p] / size
                     left -= np.outer(left @ along, along)
                     fixed.append(p)
-        equal = N * np.array(
-            [[WIDE.get(group, 1.0)] for group in groups]
-        )  # scaled so that a length counts the same in all groups
+        # scaled so that a length counts the same in all groups
+        equal = N * np.array([[WIDE.get(group, 1.0)] for group in groups])
         B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}

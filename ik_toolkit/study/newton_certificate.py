@@ -197,9 +197,8 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     # Bounds that depend on slides or on phi hold only within 2 eta of q0.
     far = 2.0 * eta if slides or L[:, 1].any() else root / np.where(known, omega, 1.0)
     each = np.linalg.norm(np.linalg.inv(to_norm), axis=1) * robot.chain.unit * radius[:, None]
-    lower, upper = (
-        robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
-    )  # the limits as the solver uses them
+    # the limits as the solver uses them
+    lower, upper = robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
     shaped = (part.reshape(q0.shape[:-1] + part.shape[1:]) for part in parts)

@@ -53,9 +53,8 @@ def make_item(name: str, robot_name: str):
         T0 = robot.fk(robot.home + 0.3).homogeneous
         reference = ik.circle(T0, 0.05, duration=2.0)
         q0 = robot.home + 0.3
-        clip = (
-            {"on_limit": "clip"} if "on_limit" in inspect.signature(ik.track).parameters else {}
-        )  # what the older one did
+        # what the older one did
+        clip = {"on_limit": "clip"} if "on_limit" in inspect.signature(ik.track).parameters else {}
         return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0, **clip), 2000, lambda: (0, 0)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(count)])
     solver = ik.Solver(robot, "lm" if name in ("lanes", "python") else name)

@@ -96,9 +96,8 @@ def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
 
 def keep(output: Path, payload: dict[str, Any], *tables: str) -> str:
     """Write the JSON with the tables as Markdown in it; returns the tables."""
-    words = [
-        Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]
-    ]  # no folders of this machine
+    # no folders of this machine
+    words = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
     payload = {
         "command": "python " + " ".join([f"scripts/benchmarks/{Path(sys.argv[0]).name}", *words]),
         **payload,

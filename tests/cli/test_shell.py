@@ -71,9 +71,8 @@ def test_links_of_a_file_are_completed(run, capsys, monkeypatch, tmp_path):
 @DATA
 def test_names_of_example_robot_data_are_completed(run, capsys, monkeypatch):
     assert completed(run, capsys, monkeypatch, "ik solve pand") == ["panda"]
-    assert (
-        completed(run, capsys, monkeypatch, "ik solve solo1") != []
-    )  # one of the robots that only `ik robots --all` lists
+    # one of the robots that only `ik robots --all` lists
+    assert completed(run, capsys, monkeypatch, "ik solve solo1") != []
 
 
 def test_completion_loads_neither_pinocchio_nor_numba():

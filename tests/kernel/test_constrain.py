@@ -169,9 +169,8 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
             np.testing.assert_allclose(other(ask, want), x, atol=1e-9)
             assert other.status == cold.status
         ended.add(cold.status)
-    assert (
-        ended == {OUTCOME.met, OUTCOME.short} or config.DISABLE_JIT
-    )  # the few cases of an uncompiled run end in some of them
+    # the few cases of an uncompiled run end in some of them
+    assert ended == {OUTCOME.met, OUTCOME.short} or config.DISABLE_JIT
 
 
 def test_what_is_missed_damps_the_motion():

@@ -29,9 +29,8 @@ def double(x):
 def double(tmp_path, caplog, monkeypatch):
     """A function that calls a freshly imported `double`, compiled or loaded, and gives what was logged meanwhile."""
     monkeypatch.setattr(config, "CACHE_DIR", "")  # what NUMBA_CACHE_DIR sets
-    monkeypatch.setitem(
-        cache.saying, "said", True
-    )  # of a compilation that takes longer than a second, on a busy machine
+    # of a compilation that takes longer than a second, on a busy machine
+    monkeypatch.setitem(cache.saying, "said", True)
     path = tmp_path / "small_kernel.py"
     path.write_text(SOURCE)
     spec = importlib.util.spec_from_file_location("small_kernel", path)

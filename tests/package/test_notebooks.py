@@ -29,6 +29,7 @@ def test_committed_small_and_executed(path):
     sources = ["".join(cell["source"]) for cell in code]
     scenes = [cell for cell, text in zip(code, sources, strict=True) if "ik.view(" in text or "ik.interact(" in text]
     assert scenes, "no 3-D scene"
+    # sliders of motions
     moved = (
         "ik.interact(",
         ".page()",
@@ -36,7 +37,7 @@ def test_committed_small_and_executed(path):
         "ik.view(robot, runs",
         "ik.view(robot, trajectory",
         "ik.view(robot, found",
-    )  # sliders of motions
+    )
     assert any(word in text for text in sources for word in moved), "nothing to drag or slide"
     drawn = [cell for cell in scenes if any("image/png" in output.get("data", {}) for output in cell["outputs"])]
     assert len(drawn) == len(scenes), "a scene without a picture"

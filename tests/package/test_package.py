@@ -93,9 +93,8 @@ def test_readme_states_the_two_commands():
 
 
 def test_readme_solver_table_is_the_registry():
-    table = [
-        line for line in README.splitlines() if line.startswith("| `")
-    ]  # the docs have all rows, made from the registry
+    # the docs have all rows, made from the registry
+    table = [line for line in README.splitlines() if line.startswith("| `")]
     assert set(table) <= {f"| `{row.name}` | {row.summary} | {row.handles} | {row.citation} |" for row in ROWS}
     assert len(table) >= 8
 

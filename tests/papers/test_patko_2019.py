@@ -250,8 +250,7 @@ def test_report(tmp_path, monkeypatch):
     assert rates["RR", "RR bad", "ca"][1] == pytest.approx(5.185, abs=2e-3)
     for (_, _, method), (rest, moving, _, below, below_runs, above, above_runs) in rates.items():
         assert moving > rest
-        if (
-            below
-        ):  # Runs just beside the least rate grow and decay; complex multipliers of ca make their ratio fluctuate.
+        # Runs just beside the least rate grow and decay; complex multipliers of ca make their ratio fluctuate.
+        if below:
             assert below > 1.0 > above and (below_runs == "diverge" or below_runs > 1.0) and above_runs < 1.0
             assert method == "ca" or [below_runs, above_runs] == pytest.approx([below, above], rel=0.03)

@@ -117,9 +117,8 @@ def test_gains_by_theory_and_by_search(hydrolek, monkeypatch):
     designed = design.theory(hydrolek, published, q0)
     here = ik.analyse(hydrolek, designed, q0)
     assert np.allclose(here.loop_gain, 0.5625, rtol=1e-6) and here.gain_bound == 1.5
-    assert (
-        abs(here.spectral_radius[0] - 0.5) < 1e-6
-    )  # |a| of the states that move no tip; the loop's own poles are both 0.25
+    # |a| of the states that move no tip; the loop's own poles are both 0.25
+    assert abs(here.spectral_radius[0] - 0.5) < 1e-6
     targets = paper.goals(hydrolek, 300, 30)
     solved = [
         ik.solve_batch(hydrolek, targets, rule, q0=q0, **PAPER_OPTIONS).success.mean() for rule in (designed, published)

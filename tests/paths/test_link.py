@@ -45,10 +45,8 @@ def test_best_of_all_paths_with_states_looked_up_on_an_endless_joint():
         program.run()
         k, count = program.best(len(Q) - 1)
         known = enumerated(Q, most, endless)
-        assert (count, program.costs[-1, k]) == (
-            known[0],
-            pytest.approx(known[1], rel=1e-5),
-        )  # states are in single precision
+        # states are in single precision
+        assert (count, program.costs[-1, k]) == (known[0], pytest.approx(known[1], rel=1e-5))
 
 
 def test_contact_is_looked_for_beside_the_path_only_where_it_is_met():

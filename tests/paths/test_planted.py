@@ -32,10 +32,8 @@ def test_a_motion_of_the_arm_itself_is_followed_in_one_piece(name):
     robot, rng = robots.load(name), np.random.default_rng(5)
     for k in range(7 if name == "ur5" else 2):
         Q = motion(robot, rng, 60)
-        if name == "ur5" and k not in (
-            2,
-            6,
-        ):  # These pass singular poses, beside which poses in between are out of reach.
+        # These pass singular poses, beside which poses in between are out of reach.
+        if name == "ur5" and k not in (2, 6):
             continue
         made = ik.solve_path(robot, np.array([robot.fk(q).homogeneous for q in Q]))
         assert made.status == PathStatus.FOLLOWED and made.lower_bound == 0

@@ -92,10 +92,8 @@ def test_the_tip_keeps_its_speed_where_limits_allow(count):
     points = np.array([robot.fk(q).translation for q in made.at(t)[0]])
     speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(t)
     assert speed.max() < 1.01 * asked and f"the tip keeps {asked:g} m/s except from pose 0 to" in made.message
-    assert [(a == 0.0, b == count - 1) for a, b in made.slower] == [
-        (True, False),
-        (False, True),
-    ]  # from rest and to rest
+    # from rest and to rest
+    assert [(a == 0.0, b == count - 1) for a, b in made.slower] == [(True, False), (False, True)]
     place = np.interp(0.5 * (t[1:] + t[:-1]), made.t, made.place)
     for a, b in made.slower:
         place[(place >= a) & (place <= b)] = np.nan

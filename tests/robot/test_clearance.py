@@ -176,9 +176,8 @@ def test_rows_are_how_distances_change(name):
         space.place(q - step)
         here = np.array([space.distance(k) for k in ks[order[:count]].tolist()])
         closer = 0.5 * (here - there) / 1e-5
-        off = np.abs(
-            A[:count] @ step / 1e-5 - closer
-        )  # where the nearest point jumps from corner to corner, it may be off
+        # where the nearest point jumps from corner to corner, it may be off
+        off = np.abs(A[:count] @ step / 1e-5 - closer)
         assert np.median(off) < 0.02 and np.mean(off < 0.1) > 0.8
         checked += count
     assert checked > 20

@@ -134,9 +134,8 @@ def test_every_excluded_pair_is_gone():
     """All of them touch at home and at zero: none is left (removing from the list that is walked skips every second)."""
     model = ik.CollisionModel(balls(*[2.0] * 5))
     assert len(model.excluded) == 6 and model.pairs == ()
-    two = TOUCHING.replace(
-        '<link name="l0"/>', f'<link name="l0">{BALL.format(2.0) * 3}</link>'
-    )  # pairs of shapes: 3 a link
+    # pairs of shapes: 3 a link
+    two = TOUCHING.replace('<link name="l0"/>', f'<link name="l0">{BALL.format(2.0) * 3}</link>')
     model = ik.CollisionModel(balls(0, 0.01, 0.3, 0.3, 0.3, text=two))
     assert {pair for pair in model.excluded if "l0" in pair} == {("l0", f"l{k}") for k in (2, 3, 4)}
     assert not set(model.pairs) & set(model.excluded) and not model.collisions(model.robot.home)
@@ -351,9 +350,8 @@ def test_what_may_be_asked_for():
     with pytest.raises(InvalidOption, match="avoid_collisions"):
         ik.solve(robot, T, avoid_collisions="yes")
     both = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    with pytest.raises(
-        InvalidOption, match="another Robot object"
-    ):  # an arm's own shapes say nothing of the other arm's
+    # an arm's own shapes say nothing of the other arm's
+    with pytest.raises(InvalidOption, match="another Robot object"):
         ik.Solver(both, "lm", avoid_collisions=ik.CollisionModel(both.arms[0]))
     assert ik.solve(robot.with_tool(np.eye(4)), T, avoid_collisions=True).success  # a copy gets a model of its own
 

@@ -72,9 +72,8 @@ def test_kinematics_are_those_of_mujoco(arm, capfd):
         assert np.abs(T.rotation.ravel() - data.site("tool").xmat).max() < 1e-12
     Q = robot.random_q(rng, 50)
     solved = ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q]))
-    assert (
-        set(solved.counts()) == {"CONSTRAINT_OPEN"} and solved.position_error.max() < 1e-6
-    )  # the loop's joints are in q
+    # the loop's joints are in q
+    assert set(solved.counts()) == {"CONSTRAINT_OPEN"} and solved.position_error.max() < 1e-6
     again = pickle.loads(pickle.dumps(robot))
     assert np.array_equal(again.fk(Q[0]).homogeneous, robot.fk(Q[0]).homogeneous) and again.notes == robot.notes
     said = capfd.readouterr()
@@ -244,9 +243,8 @@ def test_free_bodies_stand_where_the_file_and_its_keyframes_have_them():
     assert np.abs(ball.homogeneous - wanted).max() < 1e-12
 
 
-DEFAULTS = "".join(
-    f'<default class="a{k}"><geom size="1"/></default>' for k in range(30_000)
-)  # MuJoCo takes their square
+# MuJoCo takes their square
+DEFAULTS = "".join(f'<default class="a{k}"><geom size="1"/></default>' for k in range(30_000))
 
 
 @pytest.mark.parametrize(
@@ -291,9 +289,8 @@ DEFAULTS = "".join(
     ids=lambda value: value[:60] if value.startswith("<") else None,
 )
 def test_hostile_files_are_harmless(tmp_path, text, said, monkeypatch):
-    monkeypatch.setattr(
-        "ik_toolkit.robot.formats.mjcf.SECONDS", 1
-    )  # of processor time, for the one that would take all of it
+    # of processor time, for the one that would take all of it
+    monkeypatch.setattr("ik_toolkit.robot.formats.mjcf.SECONDS", 1)
     (tmp_path / "secret.xml").write_text('<mujoco><worldbody><body name="secret"/></worldbody></mujoco>')
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "link.xml").symlink_to(tmp_path / "secret.xml")

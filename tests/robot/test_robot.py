@@ -327,9 +327,8 @@ def test_lengths_that_look_like_millimetres_are_doubted_when_a_robot_is_loaded(c
         joint = robot.joint_names[0]
         assert robot.locked({joint: 0.0}).notes[0] == robot.narrowed({joint: (0.0, 0.1)}).notes[0] == note
     crane = millimetres(90, 30_000)  # 63 m
-    far = robots.urdf(
-        dict(kind="revolute", xyz="5000 0 0"), dict(kind="revolute", xyz="1 0 0")
-    )  # in the frame of a map
+    # in the frame of a map
+    far = robots.urdf(dict(kind="revolute", xyz="5000 0 0"), dict(kind="revolute", xyz="1 0 0"))
     for text in (millimetres(1), millimetres(50), crane, far):
         assert ik.Robot.load(text).notes == ()
     assert ik.Robot.load("panda", on_base="floating", base_limits=(-500, 500)).notes == ()

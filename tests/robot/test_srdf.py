@@ -230,11 +230,8 @@ def test_it_is_found_beside_the_file(tmp_path):
 
     assert found() is None
     (tmp_path / "srdf").mkdir()
-    for place in (
-        "srdf/other.srdf",
-        "srdf/my.srdf",
-        "urdf/my_arm.srdf",
-    ):  # by the robot's name, the file's beginning, its name
+    # by the robot's name, the file's beginning, its name
+    for place in ("srdf/other.srdf", "srdf/my.srdf", "urdf/my_arm.srdf"):
         (tmp_path / place).write_text(SRDF)
         assert found() == place
     assert ik.Robot.load(file, srdf=False).srdf.path is None

@@ -56,9 +56,8 @@ def test_a_tool_has_a_shape(base):
     assert touching > 0
     again = pickle.loads(pickle.dumps(arm))
     assert ik.CollisionModel(again).pairs == ik.CollisionModel(arm).pairs
-    at_point = ik.CollisionModel(
-        bare.with_tool(T, shape=ik.Shape.sphere(0.02))
-    )  # without T_tip_shape at the tool's point
+    # without T_tip_shape at the tool's point
+    at_point = ik.CollisionModel(bare.with_tool(T, shape=ik.Shape.sphere(0.02)))
     at_point.add_sphere(0.02, (bare.fk(bare.home) * pin.SE3(T)).translation, "there")
     assert ("tool at tool", "there") in at_point.collisions(bare.home)
 

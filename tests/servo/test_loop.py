@@ -136,11 +136,8 @@ def test_mistakes_in_the_loop_are_typed(panda):
             tracker.update(target, 0.01)
     with pytest.raises(InvalidTarget, match="one kind"):
         tracker.update(np.zeros(3), 0.01)
-    for nothing in (
-        np.full(3, np.nan),
-        [np.nan] * 3,
-        np.full((4, 4), np.nan),
-    ):  # without numbers the kind does not matter
+    # without numbers the kind does not matter
+    for nothing in (np.full(3, np.nan), [np.nan] * 3, np.full((4, 4), np.nan)):
         assert tracker.update(nothing, 0.01).status.name == "HELD"
     with pytest.raises(InvalidTarget, match="twist"):
         tracker.update(panda.fk(Q0), 0.01, twist=np.zeros(2))

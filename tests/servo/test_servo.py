@@ -309,9 +309,8 @@ def test_wishes_beside_the_task(panda):
         J = panda.jacobian(tracker.q)
         rest = (np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - tracker.q)
         assert np.linalg.norm(rest) < 0.05 * np.linalg.norm((np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - Q0))
-    aside = Q0 + np.array(
-        [0.0, 0.0, 0.3, 0.0, 0.2, 0.0, 0.0]
-    )  # Q0 is symmetric: no motion beside the task raises it there
+    # Q0 is symmetric: no motion beside the task raises it there
+    aside = Q0 + np.array([0.0, 0.0, 0.3, 0.0, 0.2, 0.0, 0.0])
     low = Tracker(panda, "cv", q0=aside, avoid_limits=False, manipulability=1.0)
     for _ in range(100):
         assert low.update(panda.fk(aside).homogeneous, 0.01).position_error < 1e-6

@@ -82,9 +82,8 @@ def test_a_device_that_loses_its_tracking_moves_nothing():
     hands.update(hand((0, 0, 0)), True, 0.01)
     moved = hands.update(hand((0.1, 0, 0)), True, 0.01)
     assert hands.update(lost, True, 0.01) == pytest.approx(moved) and not hands.engaged
-    assert hands.update(hand((0.6, 0, 0)), True, 0.01) == pytest.approx(
-        moved
-    )  # held all the while, seen again elsewhere
+    # held all the while, seen again elsewhere
+    assert hands.update(hand((0.6, 0, 0)), True, 0.01) == pytest.approx(moved)
     assert hands.update(hand((0.7, 0, 0)), True, 0.01)[0, 3] == pytest.approx(moved[0, 3] + 0.1)
     hands.rebase(START)
     hands.update(lost, True, 0.01)

@@ -46,10 +46,8 @@ def test_convergence_draws_the_history(solved):
 
 def test_a_failed_solve_shows_the_attempt_of_its_answer():
     robot = load("hydrolek_7w")
-    for target, rpy in (
-        ((0.0, 3.0, 0.0), (0.0, 0.7, 0.1)),
-        ((0.8, 0.2, 0.3), (0.0, 0.0, 0.0)),
-    ):  # proven out of reach in three attempts; 250 attempts fail
+    # proven out of reach in three attempts; 250 attempts fail
+    for target, rpy in (((0.0, 3.0, 0.0), (0.0, 0.7, 0.1)), ((0.8, 0.2, 0.3), (0.0, 0.0, 0.0))):
         result = ik.solve(robot, ik.pose(target, rpy=rpy), history=True)
         assert not result.success and result.attempt > 0
         Q, position, _, others = plots.iterates(result)

@@ -58,7 +58,6 @@ def test_attempts_that_are_all_cut_off_are_called_that():
     assert "after 1 iteration;" in ik.solve(robot, target, max_iterations=1, restarts=0).message
     assert ik.solve(robot, target).success
     away = target.homogeneous
-    away[2, 3] += (
-        0.6 * robot.reach
-    )  # in reach of the links, not of the joints: what the search itself gives up is STALLED
+    # in reach of the links, not of the joints: what the search itself gives up is STALLED
+    away[2, 3] += 0.6 * robot.reach
     assert ik.solve(robot, away).status in (ik.Status.STALLED, ik.Status.LIMIT_BLOCKED, ik.Status.UNREACHABLE)

@@ -25,9 +25,8 @@ def cluster():
         ) as made,
     ):
         yield made
-    with (
-        warnings.catch_warnings()
-    ):  # distributed leaves a socket to the collector now and then: not in the middle of another test
+    # distributed leaves a socket to the collector now and then: not in the middle of another test
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         gc.collect()
 

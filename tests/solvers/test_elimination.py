@@ -40,13 +40,11 @@ def arm_of(kind, seed, scale=1.0):
         axes[2], points[3:] = axes[1], points[4]
     elif kind in ("right angles", "symmetric"):
         axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], float)
-    if (
-        kind == "symmetric"
-    ):  # Axes 1 and 2 meet, there is a wrist, and no joint tells the two solutions of the shoulder apart.
+    # Axes 1 and 2 meet, there is a wrist, and no joint tells the two solutions of the shoulder apart.
+    if kind == "symmetric":
         points = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]], float)
-    if (
-        kind == "offset wrist"
-    ):  # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
+    # the dimensions of a Fanuc CRX-10iA: joints 4 and 5 have two solutions for each value of joint 6
+    if kind == "offset wrist":
         axes = np.array([[0, 0, 1], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, -1, 0], [-1, 0, 0]], float)
         points = np.array([[0, 0, 0], [0, 0, 245], [0, 0, 785], [0, 0, 785], [540, 0, 785], [0, -150, 785]]) / 1000.0
     T = np.eye(4)
@@ -241,12 +239,8 @@ def test_a_batch_lists_what_single_targets_do():
     for q0 in (None, robot.random_q(rng)):
         many = solver.all(np.array(T), q0)
         assert len(many) == 7 and set(many.complete) == {True, False}
-        for name in (
-            "q",
-            "distance",
-            "position_error",
-            "orientation_error",
-        ):  # joined before and after each list is made
+        # joined before and after each list is made
+        for name in ("q", "distance", "position_error", "orientation_error"):
             assert np.array_equal(getattr(many, name), np.concatenate([getattr(one, name) for one in many]))
         for k, pose in enumerate(T):
             one = solver.all(pose, q0)

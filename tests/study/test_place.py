@@ -100,9 +100,8 @@ def test_obstacles_of_the_scene_count(hydrolek):
     assert abs(len(W) * among.shares.max() - beside.count) < 1.5  # as many as the few attempts of the search reach
     judge = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), np.linalg.inv(beside.T_world_base) @ before[0])
     assert not any(judge.collides(q) for q in beside.q[beside.reached])
-    assert all(
-        (T == old).all() for (_, _, T), old in zip(scene.placed(), before, strict=True)
-    )  # the caller's is untouched
+    # the caller's is untouched
+    assert all((T == old).all() for (_, _, T), old in zip(scene.placed(), before, strict=True))
 
 
 def test_ordered_poses_are_followed(hydrolek):

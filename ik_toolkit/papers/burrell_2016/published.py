@@ -31,10 +31,8 @@ TABLE_2 = {  # times of a solve [ms] by method, for the tolerances 5, 2, 1 and 0
     "state space": (0.604, 0.763, 0.875, 1.310),
 }
 TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # [m] tolerances of Table II
-PLANAR_B = (
-    [[2, -2], [-1, 0], [1, -2]],
-    [[0, -2], [-1, -1], [-2, -1]],
-)  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
+# B of the planar arm, found by a search over whole numbers, as the paper does not print it
+PLANAR_B = [[2, -2], [-1, 0], [1, -2]], [[0, -2], [-1, -1], [-2, -1]]
 # Place in the paper, problem, and the correction that is used here.
 MISPRINTS = """
 eq. (2), element (2,4) | +sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit | minus

@@ -15,9 +15,8 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     The deviation is an angle [rad] or a length over the reach. The result is stored with the robot for later calls.
     """
     if "closed forms" not in robot.memo:
-        robot.memo["closed forms"] = (
-            _recognise(robot.chain) if len(robot.tips) == 1 else {}
-        )  # closed forms are for one tip only
+        # Closed forms are for one tip only.
+        robot.memo["closed forms"] = _recognise(robot.chain) if len(robot.tips) == 1 else {}
     return robot.memo["closed forms"].get(kind)
 
 

@@ -54,9 +54,8 @@ def test_what_may_wrap():
     rows, n, _ = arms.table(rng, "ttstmt")
     wide = np.array([9.0, 2 * math.pi, 9.0, 6.0, np.inf])
     chain = chains.pack(rows, arms.numbers(np.eye(4)), arms.numbers(np.eye(4)), -0.5 * wide, 0.5 * wide, np.zeros(n))
-    np.testing.assert_array_equal(
-        chain.turns, [0, 1, 0, 0, 1]
-    )  # a leader of another joint, a slide, less than a turn: not
+    # a leader of another joint, a slide, less than a turn: not
+    np.testing.assert_array_equal(chain.turns, [0, 1, 0, 0, 1])
     box = Ends(chain.ends, n)
     assert [box.turns(i) for i in range(n)] == [0, 1, 0, 0, 2] and not chain.plain
     assert box.upper(4) == -box.lower(4) == 10.0 * math.pi and box.upper(1) == math.pi

@@ -90,9 +90,8 @@ def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
         old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
         slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2)), pressed(0.05)
         assert null_space_motion.slack_rows(slack, bench(weight, J, e, f, ahead, a, *planes), 0, 0.1, state) == 0
-        assert (
-            state[STATE.pressed] == null_space_motion.SLACK.pressed
-        )  # for as long as it is outside, and somewhat longer
+        # for as long as it is outside, and somewhat longer
+        assert state[STATE.pressed] == null_space_motion.SLACK.pressed
         left[0][1] -= sign * 0.2
         left[2][1] -= sign * 0.2
         np.testing.assert_array_equal(J, old)

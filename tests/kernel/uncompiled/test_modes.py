@@ -40,9 +40,8 @@ def test_directions_that_move_nothing():
     assert singular_step.lost_direction(W, sigma, away, v)
     np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
     assert not singular_step.lost_direction(W, sigma, np.zeros(n), v) and not v.any()
-    assert (
-        not singular_step.lost_direction(W, sigma, W.T @ np.ones(6), v) and not v.any()
-    )  # what rounding leaves is no direction
+    # what rounding leaves is no direction
+    assert not singular_step.lost_direction(W, sigma, W.T @ np.ones(6), v) and not v.any()
     assert singular_step.mode_direction(W, sigma, 1, away, 1.0, v)
     np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
     assert not singular_step.mode_direction(W, sigma, 1, away, 0.0, v) and not v.any()

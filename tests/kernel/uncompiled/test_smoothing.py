@@ -41,9 +41,10 @@ def test_what_a_path_costs_and_its_derivatives():
     total, worst = smoothing.cost_of(Q, smoothing.PathPrice(first, second, rounding), longest)
     assert total == pytest.approx(cost(Q.ravel()), rel=1e-12)
     assert worst == pytest.approx((np.abs(np.diff(Q, axis=0)) / longest).max())
+    # below 1, too
     assert smoothing.cost_of(Q, smoothing.PathPrice(first, second, rounding), 10.0 * longest)[1] == pytest.approx(
         0.1 * worst
-    )  # below 1, too
+    )
     H, g = np.full((N * n, 2 * n + 1), 7.0), np.full(N * n, 7.0)
     smoothing.differences(Q, smoothing.PathPrice(first, second, rounding), H, g)
     np.testing.assert_allclose(g, approx_fprime(Q.ravel(), cost, 1e-7), atol=2e-6)
