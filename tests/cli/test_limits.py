@@ -69,3 +69,12 @@ def test_a_path_and_a_run_stay_inside_them(run, arm, tmp_path):
 def test_what_is_no_narrower_range_is_refused(run, arm, words, says):
     code, _, err = run("solve", arm, "--xyz", "0.3", "0", "0", *words)
     assert code == 2 and says in err
+
+
+def test_a_value_beyond_its_limits_is_not_at_them(run, arm):
+    table = run("solve", arm, "--xyz", "-0.3", "0.01", "0", "--no-limits")[1].splitlines()
+    (turn,) = (line for line in table if line.strip().startswith("j0"))
+    assert turn.rstrip().endswith("outside")
+    table = run("solve", arm, "--xyz", "-0.3", "0.01", "0")[1].splitlines()
+    (turn,) = (line for line in table if line.strip().startswith("j0"))
+    assert turn.rstrip().endswith("at limit")
