@@ -94,13 +94,11 @@ def _check(robot: Any, lower: np.ndarray, upper: np.ndarray) -> None:
         return
     i = int(np.argmin(good))
     joint, own, asked = robot.joint_names[i], (robot.lower[i], robot.upper[i]), (lower[i], upper[i])
-    said = "{:g} to {:g}"
     if np.isnan(asked).any():
-        raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {said.format(*asked)}")
+        raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {asked[0]:g} to {asked[1]:g}")
     if asked[0] > asked[1]:
         raise InvalidOption(f"limits of joint '{joint}' are reversed: lower {asked[0]:g} is above upper {asked[1]:g}")
-    unit = "m" if robot.joint_kinds[i] == "prismatic" else "rad"
-    raise InvalidOption(
-        f"limits of joint '{joint}' can only be narrowed: {said.format(*asked)} {unit} reaches beyond the robot's own "
-        f"{said.format(*own)} {unit}"
-    )
+    # angles are said in degrees, too, because the caller may have given them so in a shell
+    said = "{0:g} to {1:g} m" if robot.joint_kinds[i] == "prismatic" else "{0:g} to {1:g} rad ({2:g} to {3:g} deg)"
+    wide, most = (said.format(*ends, *np.degrees(ends)) for ends in (asked, own))
+    raise InvalidOption(f"limits of joint '{joint}' can only be narrowed: {wide} reaches beyond the robot's own {most}")
