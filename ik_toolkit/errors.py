@@ -162,7 +162,7 @@ def whole(value: Any, what: str, least: int = 1) -> int:
         return value
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)
-    if number.shape != () or not number >= least or number % 1.0 != 0.0:
+    if number.shape != () or not least <= number < math.inf or number % 1.0 != 0.0:
         raise InvalidOption(f"{what}, not {value!r:.60}")
     return int(number)
 

@@ -34,7 +34,9 @@ class FileOptions(JsonOutput):
 class DhOptions(JsonOutput):
     """Options for the D-H table and the file of the URDF."""
 
-    table: str = argument("TABLE", "D-H table, a .toml or .csv file.")
+    table: str = argument(
+        "TABLE", "D-H table, a .toml or .csv file; a .csv begins with lines such as '# convention = classic'."
+    )
     output: Path | None = option(
         "FILE", "Write the URDF to a .urdf instead of stdout.", "-o", "--output", writes=[".urdf", ".xml"]
     )

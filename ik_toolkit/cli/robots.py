@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
-from ..text import plain
+from ..text import how_many, plain
 from .command import alone, command, flag, option, options
 from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
 from .output import fixed, heading, notice, number, show, table, turns, unit, write_json, write_rows
@@ -231,7 +231,7 @@ def _srdf_facts(robot: Any) -> dict[str, str | None]:
         "groups": "; ".join(groups) or None,
         "end effectors": "; ".join(ends) or None,
         "passive joints": ", ".join(said["passive_joints"]) or None,
-        "may touch": f"{said['may_touch']} pairs of links" if said["path"] else None,
+        "may touch": f"{how_many(said['may_touch'], 'pair')} of links" if said["path"] else None,
         "SRDF, not used": "; ".join(said["remarks"]) or None,
     }
 

@@ -363,11 +363,11 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     robot = result.robot
     # the errors are shown without weights, as in the message
     left = dict(zip(robot.tips, unweighted(result)[0], strict=True))
-    limited = set(result.limited_joints)
+    where = dict.fromkeys(result.limited_joints, "at limit") | dict.fromkeys(robot.outside(result.q), "outside")
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
-        joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
+        joints.add_row(name, value, unit(kind, deg), lower, upper, where.get(name, ""))
     at = joint_values(robot, result.q)
     held = {name for names in followers_at_limits(robot, result.q).values() for name in names}
     for name, ends in follower_limits(robot).items():

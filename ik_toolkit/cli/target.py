@@ -91,7 +91,7 @@ class TargetOptions:
             if isinstance(one, dict):
                 raise InvalidOption(f"{name} TIP:... goes with --target; for --xyz leave out the tip")
         at = vector(self.xyz or "", "--xyz", 3)
-        return pose(at, rpy=angles, quat_xyzw=xyzw, quat_wxyz=wxyz, axis=axes or AXES["z"], direction=ways)
+        return pose(at, rpy=angles, quat_xyzw=xyzw, quat_wxyz=wxyz, axis=axes, direction=ways)
 
     def _several(self, texts: Sequence[str], deg: bool) -> dict[str, Any]:
         """Return targets by tip from --target, --direction and --tip-axis."""
@@ -112,7 +112,7 @@ class TargetOptions:
             way, axis = (one.get(tip) if isinstance(one, dict) else one for one in (ways, axes))
             if len(x) not in MATRIX:
                 quat = x[3:] if len(x) == 7 else None
-                made[tip] = pose(x[:3], rpy=rpy, quat_xyzw=quat, axis=axis or AXES["z"], direction=way)
+                made[tip] = pose(x[:3], rpy=rpy, quat_xyzw=quat, axis=axis if way else None, direction=way)
             elif way:
                 raise InvalidTarget(
                     f"--target {tip} is a whole pose, and --direction would turn it; give its x,y,z alone"

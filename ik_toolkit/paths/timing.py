@@ -72,7 +72,8 @@ def retime(
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
-    message = missing or f"all {count} poses are passed in {duration(total, 4)}"
+    passed = "the pose is" if count == 1 else f"all {count} poses are"
+    message = missing or f"{passed} passed in {duration(total, 4)}"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
     if (np.array([deviation, turn]) > allowed.max(axis=1)).any():

@@ -1,7 +1,7 @@
 """Joint values in the forms in which people have them: numbers, the name of a configuration, values by joint."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -76,8 +76,8 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
             missing = [joint for joint in robot.joint_names if joint not in by_joint]
             others = [str(joint) for joint in by_joint if joint not in robot.joint_names]
             if missing:
-                meant = near_match(missing[0], others) if others else ""
-                raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}.{meant}")
+                given = f", but names {', '.join(others[:30])}, not in this robot's q" if others else ""
+                raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}{given}")
             if others:
                 notice = f"{name}: joint{'s' * (len(others) > 1)} {', '.join(others)} ignored, not of this robot's q"
             q = [by_joint[joint] for joint in robot.joint_names]
@@ -94,6 +94,12 @@ def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
     """Yield the name of every mimic joint of a model, and how it follows its leader."""
     for j, (leader, ratio, offset) in mimics(model).items():
         yield model.names[j], Tie(model.names[leader], ratio, offset)
+
+
+def near_joint(joint: Any, model: pin.Model, names: Iterable[str]) -> str:
+    """Return the end of a message on a joint that is not among `names`: the one that it follows, or a near match."""
+    leader = next((tie.leader for follower, tie in leaders_of(model) if follower == joint), None)
+    return near_match(joint, names) if leader is None else f" It follows '{leader}': give that joint instead."
 
 
 def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:

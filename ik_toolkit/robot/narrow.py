@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, JointNotFound, floats, near_match
+from ..errors import InvalidOption, JointNotFound, floats
+from .configuration import near_joint
 
 KEPT = 32  # number of variants with narrower limits that a robot caches, for loops with the same limits
 ASKED = (
@@ -62,7 +63,7 @@ def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
             if joint not in robot.joint_names:
                 raise JointNotFound(
                     f"robot '{robot.name}' has no joint '{joint}' whose limits could be narrowed."
-                    f"{near_match(joint, robot.joint_names)}"
+                    f"{near_joint(joint, robot.model, robot.joint_names)}"
                 )
             i, what = robot.joint_names.index(joint), f"limits of joint '{joint}' must be (lower, upper)"
             if not isinstance(pair, list | tuple | np.ndarray) or len(pair) != 2:
@@ -74,7 +75,7 @@ def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
                         raise InvalidOption(f"{what}, numbers or None, not {value!r:.60}")
                     ends[i] = number
         return lower, upper
-    if not isinstance(limits, list | tuple | np.ndarray) or len(limits) != 2:
+    if not isinstance(limits, list | tuple | np.ndarray) or not np.iterable(limits) or len(limits) != 2:
         raise InvalidOption(f"{ASKED}, not {limits!r:.60}")
     for name, ends, given in zip(("lower", "upper"), (lower, upper), limits, strict=True):
         if given is not None:
@@ -93,13 +94,11 @@ def _check(robot: Any, lower: np.ndarray, upper: np.ndarray) -> None:
         return
     i = int(np.argmin(good))
     joint, own, asked = robot.joint_names[i], (robot.lower[i], robot.upper[i]), (lower[i], upper[i])
-    said = "{:g} to {:g}"
     if np.isnan(asked).any():
-        raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {said.format(*asked)}")
+        raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {asked[0]:g} to {asked[1]:g}")
     if asked[0] > asked[1]:
         raise InvalidOption(f"limits of joint '{joint}' are reversed: lower {asked[0]:g} is above upper {asked[1]:g}")
-    unit = "m" if robot.joint_kinds[i] == "prismatic" else "rad"
-    raise InvalidOption(
-        f"limits of joint '{joint}' can only be narrowed: {said.format(*asked)} {unit} reaches beyond the robot's own "
-        f"{said.format(*own)} {unit}"
-    )
+    # angles are said in degrees, too, because the caller may have given them so in a shell
+    said = "{0:g} to {1:g} m" if robot.joint_kinds[i] == "prismatic" else "{0:g} to {1:g} rad ({2:g} to {3:g} deg)"
+    wide, most = (said.format(*ends, *np.degrees(ends)) for ends in (asked, own))
+    raise InvalidOption(f"limits of joint '{joint}' can only be narrowed: {wide} reaches beyond the robot's own {most}")

@@ -8,7 +8,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import DOUBTED, FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
+from ..errors import DOUBTED, FEW_TURNS, IKError, InvalidTarget, doubt_angles, doubt_lengths, floats
 from ..kernel.checks import RIGID
 from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
@@ -85,7 +85,7 @@ Position = np.ndarray[tuple[Literal[3]], np.dtype[np.float64]]
 
 
 @overload
-def pose(xyz: Numbers | None = None, *, direction: Numbers, axis: Numbers = ...) -> AxisTarget: ...
+def pose(xyz: Numbers | None = None, *, direction: Numbers, axis: Numbers | None = ...) -> AxisTarget: ...
 @overload
 def pose(xyz: Numbers | None = None, *, rpy: Numbers) -> Matrix: ...
 @overload
@@ -104,7 +104,7 @@ def pose(
     quat_xyzw: Numbers | None = None,
     quat_wxyz: Numbers | None = None,
     rotation: Any = None,
-    axis: Numbers = ...,
+    axis: Numbers | None = ...,
     direction: Numbers | None = None,
 ) -> AxisTarget | Matrix | Position: ...
 def pose(
@@ -114,7 +114,7 @@ def pose(
     quat_xyzw: Numbers | None = None,
     quat_wxyz: Numbers | None = None,
     rotation: Any = None,
-    axis: Numbers = (0.0, 0.0, 1.0),
+    axis: Numbers | None = None,
     direction: Numbers | None = None,
 ) -> AxisTarget | np.ndarray:
     """Make a target from a position and, if the orientation counts, a rotation or direction.
@@ -133,7 +133,8 @@ def pose(
         T_base_tip (4, 4), an AxisTarget if a direction is given, or the position (3,) if no rotation is given.
 
     Raises:
-        InvalidTarget: A value is not finite, of the wrong size or not a rotation, or several rotations are given.
+        InvalidTarget: A value is not finite, of the wrong size or not a rotation, several rotations are given, or an axis
+            without a direction.
     """
     turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
@@ -141,11 +142,15 @@ def pose(
             raise InvalidTarget(
                 "a direction leaves the rotation about it free; do not also give rpy, a quaternion or rotation"
             )
-        tip_axis = _unit(axis, "axis")
+        tip_axis = _unit((0.0, 0.0, 1.0) if axis is None else axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
         T[:3, 3] = finite_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
+    if axis is not None:
+        raise InvalidTarget(
+            "axis is the axis of the tip that points along a direction; give direction= too, or omit axis"
+        )
     if turned > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
     position = finite_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
@@ -266,12 +271,14 @@ def _near(position: np.ndarray) -> np.ndarray:
     return position
 
 
-def as_matrix(pose: Any, of: str = "target") -> np.ndarray:
+def as_matrix(pose: Any, of: str = "target", reach: float = math.inf) -> np.ndarray:
     """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
 
-    of: what it is the pose of, for messages. Raises InvalidTarget.
+    of: what it is the pose of, for messages. reach: that of the arm [m]; a pose many reaches away is doubted in the log. Raises
+    InvalidTarget.
     """
     T = corrected(pose, of)
+    doubt_lengths(f"the pose of a {of}", float(np.abs(T if T.ndim == 1 else T[:3, 3]).max()), reach)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -309,6 +316,12 @@ def as_array(target: Any, base: str = "") -> Any:
     return pose(position, quat_xyzw=quat)
 
 
+def row_hint(shape: tuple[int, ...]) -> str:
+    """Return the end of a message on rows of 6 or 7 numbers: how the pose in such a row is given; '' for other shapes."""
+    given = {6: "rpy", 7: "quat_xyzw"}.get(shape[-1] if shape else 0)
+    return f"; the numbers of a row go into ik.pose(xyz=, {given}=)" if given else ""
+
+
 def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
@@ -321,7 +334,7 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
     if T.shape == (3,):
         return _near(finite_numbers(T, 3, f"{of} position")), ""
     if T.shape != (4, 4):
-        hint = "; a position and a quaternion are ik.pose(xyz=, quat_xyzw=)" if T.shape == (7,) else ""
+        hint = row_hint(T.shape)
         if T.shape[1:] in ((4, 4), (3,)) and of == "target":
             hint = "; solve_batch takes many targets, solve_path gives one motion through them"
         raise InvalidTarget(f"{needed}, not an array of shape {T.shape}{hint}")
@@ -334,10 +347,11 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
     _near(T[:3, 3])
     R, off = nearest_rotation(T[:3, :3])
     if off > PROJECT_WITHIN or np.linalg.det(T[:3, :3]) < 0.0:
-        raise InvalidTarget(
-            f"the {of}'s rotation is not rigid (a singular value is off 1 by {off:.3g}, determinant "
-            f"{np.linalg.det(T[:3, :3]):.4g}); only deviations up to {PROJECT_WITHIN:g} are projected to the nearest rotation"
-        )
+        size = np.linalg.det(T[:3, :3])
+        why = f"a singular value is off 1 by {off:.3g}, and only deviations up to {PROJECT_WITHIN:g} are projected to a rotation"
+        if size < 0.0:
+            why = "it mirrors, as left-handed axes do; turn one of its axes round"
+        raise InvalidTarget(f"the {of}'s rotation is not rigid (determinant {size:.4g}): {why}")
     notice = ""
     if off > 1e-6:
         notice = f"the {of}'s rotation was off by {off:.2g} and was projected to the nearest rotation"

@@ -18,7 +18,7 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
 from .base import on_own_base, put_joint
-from .configuration import values_by_joint
+from .configuration import near_joint, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
@@ -200,7 +200,7 @@ class Robot(Joints):
         names = [n for j, n in enumerate(self.model.names) if j and joints[j].nq in (1, 2) and joints[j].nv == 1]
         if joint not in names:
             raise JointNotFound(
-                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}"
+                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_joint(joint, self.model, names)}"
             )
         what = f"the value of locked joint '{joint}' must be a finite number"
         number = floats(value, what, InvalidConfiguration)
@@ -359,11 +359,11 @@ class Robot(Joints):
 
         shape is the tool's collision shape, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
-        T = as_matrix(T_tip_tool, "tool")
+        T = as_matrix(T_tip_tool, "tool", self.reach)
         other = self._variant()
         other.tool = self.tool * pin.SE3(T)
         if shape is not None:
-            place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape, "shape"))
+            place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.reach))
             other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
         other._build(self.home)
         return other

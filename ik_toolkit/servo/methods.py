@@ -150,11 +150,11 @@ def make_method(method: str | Method, **options: Any) -> Method:
     """
     made = method if isinstance(method, Method) else Method(method)
     allowed = (*METHODS[made.name][1], "damping")
-    for option, value in options.items():
+    for option in options:
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-        number(value, option)  # An option that is given needs a value, so None is refused as well.
-    return replace(made, **options)
+    # An option that is given needs a value, so None is refused as well.
+    return replace(made, **{option: number(value, option) for option, value in options.items()})
 
 
 class System(NamedTuple):

@@ -174,8 +174,10 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
     )
     if len(found) < len(robot.tips):
         wanted = kinds if robot.named_tips else "a Reference (ik.circle, ik.line, ...)"
-        given = [type(one).__name__ for one in (reference.values() if isinstance(reference, Mapping) else [reference])]
-        raise InvalidTarget(f"track follows {wanted}, not {', '.join(given) or 'an empty dict'}")
+        given = type(reference).__name__
+        if isinstance(reference, Mapping):
+            given = f"{{{', '.join(f'{tip}: {type(one).__name__}' for tip, one in reference.items())}}}"
+        raise InvalidTarget(f"track follows {wanted}, not {given}")
     if len({one.duration for one in found}) > 1:
         raise InvalidTarget(
             f"the references of the tips must last equally long, not {[one.duration for one in found]} s"

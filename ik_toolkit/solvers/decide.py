@@ -93,7 +93,8 @@ def deciding(plan: Plan) -> "Deciding | None":
     """
     o = plan.options
     asked = {f.name for f in fields(Options) if getattr(o, f.name) != f.default}
-    plain = plan.row.name == GENERAL and plan.rule == plan.row.load()() and not plan.robot.constraints
+    usual = plan.row.name == GENERAL and all(map(np.array_equal, plan.rule, plan.row.load()()))
+    plain = usual and not plan.robot.constraints
     loose = max(o.position_tolerance / plan.robot.reach, o.orientation_tolerance) > MARGINS.loosest
     if not plain or loose or not asked <= HONOURED or elimination_plan(plan) is None:
         return None

@@ -337,7 +337,8 @@ def solve_all(
     """
     require_robot(robot)
     for name in CHOOSING:
-        if options.get(name):
+        value = options.get(name)
+        if value is not None and not (isinstance(value, int | float | np.bool_) and not value):  # an array has no truth
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)
     from .every import find_all

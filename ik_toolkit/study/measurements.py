@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidOption, InvalidTarget, floats, near_match, whole
+from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..robot.formats.finding import did_you_mean
 from ..robot.pose import as_matrix
 from ..text import length
 
@@ -40,7 +41,7 @@ class Measurements:
     def __init__(self, what: str, measured: Any, places: Any = None, distances: Any = None) -> None:
         """Check and convert the arguments of `calibrate`. Raises InvalidTarget, InvalidOption."""
         if not isinstance(what, str) or what not in WHAT:
-            raise InvalidOption(f"what must be one of {', '.join(WHAT)}, not {what!r:.60}.{near_match(what, WHAT)}")
+            raise InvalidOption(f"what must be one of {', '.join(WHAT)}, not {what!r:.60}.{did_you_mean(what, WHAT)}")
         self.what, self.per = what, WHAT[what]
         self.positions = self.rotations = self.lengths = np.empty(0)
         self.labels = np.zeros(len(measured) if hasattr(measured, "__len__") else 0, dtype=int)

@@ -20,7 +20,7 @@ from ..solvers.batch.targets import known, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
 from ..solvers.solve import require_robot
-from ..text import TextTable, angle, figure, length
+from ..text import TextTable, angle, figure, how_many, length
 from ..validate import number, switch
 from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
@@ -135,7 +135,9 @@ class Placements(Sequence[Placement]):
             for k, one in enumerate(self.found)
         ]
         head = ("", "base x, y, z [m]", "yaw", "reached", "clearance", "margin")
-        return TextTable(self.robot, f"{len(rows)} places to stand", head, rows, "ik.plot(placements) draws the floor.")
+        return TextTable(
+            self.robot, f"{how_many(len(rows), 'place')} to stand", head, rows, "ik.plot(placements) draws the floor."
+        )
 
     def _repr_html_(self) -> str:
         """Return the table for notebooks."""

@@ -62,6 +62,10 @@ def test_a_path_and_a_run_stay_inside_them(run, arm, tmp_path):
         (["--limit", "j0:0,1:1"], "--limit takes JOINT:LOWER:UPPER"),
         (["--limit", "j0:0:1", "--limit", "j0:0:1"], "'j0' twice"),
         (["--limit", "j0:0:9"], "can only be narrowed: 0 to 9 rad"),
+        (
+            ["--deg", "--limit", "j0:0:200"],
+            "0 to 3.49066 rad (0 to 200 deg) reaches beyond the robot's own -2 to 2 rad (-114.592",
+        ),
         (["--limit", "j0:1:0"], "'j0' are reversed"),
         (["--limit", "j0:0:1", "--no-limits"], "--limit has no effect without --limits"),
     ],
@@ -69,3 +73,12 @@ def test_a_path_and_a_run_stay_inside_them(run, arm, tmp_path):
 def test_what_is_no_narrower_range_is_refused(run, arm, words, says):
     code, _, err = run("solve", arm, "--xyz", "0.3", "0", "0", *words)
     assert code == 2 and says in err
+
+
+def test_a_value_beyond_its_limits_is_not_at_them(run, arm):
+    table = run("solve", arm, "--xyz", "-0.3", "0.01", "0", "--no-limits")[1].splitlines()
+    (turn,) = (line for line in table if line.strip().startswith("j0"))
+    assert turn.rstrip().endswith("outside")
+    table = run("solve", arm, "--xyz", "-0.3", "0.01", "0")[1].splitlines()
+    (turn,) = (line for line in table if line.strip().startswith("j0"))
+    assert turn.rstrip().endswith("at limit")

@@ -26,6 +26,7 @@ def test_names_in_a_shell(run, tmp_path):
         code == 0
         and "upper (l1 -> l4)" in out
         and "hand (on l5)" in out
+        and "  1 pair of links " in out
         and "home, up" in out.replace("up, home", "home, up")
     )
     found = json.loads(run("fk", *given, "--q", "up", "--json")[1])

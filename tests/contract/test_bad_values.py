@@ -1,11 +1,14 @@
 """Every public call, with each of its arrays replaced by something else: an error of ours or an answer, never a raw exception."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError
+from ik_toolkit.solvers.options import Options
 
 BAD = {
     "0-d": np.array(1.0),
@@ -62,6 +65,7 @@ def shapes():
 
 
 P = (1.0, 0.5, 0.0)
+SRDF = '<robot name="r"><group name="arm"><chain base_link="base_link" tip_link="tool"/></group></robot>'
 CALLS = {
     "solve, target": lambda x: ik.solve(arm(), x),
     "solve, q0": lambda x: ik.solve(arm(), P, q0=x),
@@ -125,7 +129,20 @@ CALLS = {
     "stability_chart, gain": lambda x: ik.stability_chart(arm(), ik.circle(center=(1.0, 0.6, 0.0)), gain=x, samples=[9]),
     "stability_chart, samples": lambda x: ik.stability_chart(arm(), ik.circle(center=(1.0, 0.6, 0.0)), gain=[0.5], samples=x),
     "best_gains": lambda x: ik.best_gains("cv", x),
+    "load, group": lambda x: ik.Robot.load("planar_2r", srdf=SRDF, group=x),
 }  # fmt: skip
+TAKE_OPTIONS = {
+    "solve": lambda given: ik.solve(arm(), P, "lm", **given),
+    "solve, auto": lambda given: ik.solve(robots.load("hydrolek_7w"), P, **given),
+    "solve_batch": lambda given: ik.solve_batch(arm(), [P], "lm", **given),
+    "solve_all": lambda given: ik.solve_all(arm(), P, "lm", starts=3, **given),
+    "solve_path": lambda given: ik.solve_path(arm(), [P], **given),
+    "Tracker": lambda given: ik.Tracker(arm(), **given).update(P, 0.01),
+}
+OPTIONS = [*(option.name for option in fields(Options)), "damping", "kappa"]
+CALLS |= {
+    f"{call}({name}=)": lambda x, f=f, name=name: f({name: x}) for call, f in TAKE_OPTIONS.items() for name in OPTIONS
+}
 
 
 @pytest.mark.filterwarnings("ignore")

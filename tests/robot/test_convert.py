@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from folders import DATA
+from robots import urdf
 
 import ik_toolkit as ik
 from ik_toolkit import cli
@@ -74,6 +75,23 @@ def test_the_folders_that_the_meshes_of_a_written_robot_need_are_named(package, 
     robot.write(package / "urdf" / "again.urdf")  # in the package no folder of its meshes has to be given
     (said,) = caplog.messages
     assert f"need --package-dir {needed[0]} (" in said and not check_urdf(package / "urdf" / "again.urdf", needed[:1])
+
+
+def test_what_a_written_robot_does_not_hold_is_named(tmp_path, caplog):
+    text = urdf(dict(kind="revolute", limits=(-1.0, 1.0)), dict(kind="prismatic", limits=(0.0, 1.0)), name="arm")
+    robot = ik.Robot.load(text, srdf=False)
+    variants = {
+        "": robot,
+        "tool": robot.with_tool((0, 0, 0.1)),
+        "place (on_base)": ik.Robot.load(text, on_base=(1, 0, 0)),
+        "narrower limits": robot.narrowed({robot.joint_names[0]: (0.0, 0.5)}),
+        "tool, locked joints": robot.with_tool((0, 0, 0.1)).locked({robot.joint_names[1]: 0.2}),
+    }
+    for lost, variant in variants.items():
+        caplog.clear()
+        variant.write(tmp_path / "arm.urdf")
+        said = [f"arm.urdf: holds the description as it was read, without {lost}"] if lost else []
+        assert caplog.messages == said
 
 
 def test_xacro_becomes_plain_urdf_in_a_shell(package, tmp_path, capsys):

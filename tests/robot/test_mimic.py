@@ -6,7 +6,7 @@ from robots import joint
 from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
-from ik_toolkit.errors import ModelError
+from ik_toolkit.errors import JointNotFound, ModelError
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 
 # Two fingers on a turning hand; the thumb leads, and its branch comes after the index finger's in the order of the names.
@@ -216,3 +216,10 @@ def test_a_leader_that_its_follower_narrows_is_named_with_it():
         'velocity="2"/><mimic joint="lead" multiplier="2"', 'velocity="4"/><mimic joint="lead" multiplier="2"'
     )
     assert ik.Robot.load(loose, tip="tip").notes == ()
+
+
+def test_of_a_follower_the_joint_that_it_follows_is_named():
+    robot = ik.Robot.load(HAND, tip="nail")
+    for call in (lambda: robot.locked({"a_index": 0.1}), lambda: robot.narrowed({"a_nail": (0.0, 0.1)})):
+        with pytest.raises(JointNotFound, match=r"\. It follows 'thumb': give that joint instead\.$"):
+            call()

@@ -67,6 +67,9 @@ def test_pose_builds_positions_and_poses():
         ik.pose((0, 0, 0), quat_wxyz=(0, 0, 0, 0))
     with pytest.raises(InvalidTarget, match="do not also give rpy, a quaternion or rotation"):
         ik.pose((0, 0, 0), quat_wxyz=quat, direction=(0, 0, 1))
+    for other in ({}, {"rpy": (0, 0, 0)}):
+        with pytest.raises(InvalidTarget, match="points along a direction; give direction= too, or omit axis"):
+            ik.pose((0, 0, 0), axis=(1, 0, 0), **other)
 
 
 @pytest.mark.parametrize(
@@ -126,8 +129,10 @@ def test_a_nearly_rigid_rotation_is_projected_and_said_so():
     assert (typed == np.round(T, 3)).all()
     far = T.copy()
     far[:3, :3] *= 1.02
-    with pytest.raises(InvalidTarget, match="not rigid"):
+    with pytest.raises(InvalidTarget, match=r"not rigid \(determinant 1\.061\): a singular value is off 1 by 0\.02"):
         check_target(far)
+    with pytest.raises(InvalidTarget, match=r"not rigid \(determinant -1\): it mirrors, as left-handed axes do"):
+        check_target(T * [[1], [1], [-1], [1]])
     assert check_target(pin.SE3(T))[1] == ""
 
 

@@ -67,8 +67,9 @@ def test_what_is_followed(flat, tree):
     wanted = f"track follows a dict of References, one for each of {first}, {second}"
     with pytest.raises(InvalidTarget, match=f"{wanted}, not Reference"):
         ik.track(tree, each[first])
-    for given in ({first: each[first]}, {first: each[first], second: start[second]}):
-        with pytest.raises(InvalidTarget, match=wanted):
+    only = f"{first}: Reference"
+    for given, said in (({first: each[first]}, only), (each | {second: start[second]}, f"{only}, {second}: SE3")):
+        with pytest.raises(InvalidTarget, match=f"{wanted}, not {{{said}}}$"):
             ik.track(tree, given)
     longer = ik.line(start[second], start[second], duration=2.0)
     with pytest.raises(InvalidTarget, match=r"must last equally long, not \[1.0, 2.0\] s"):

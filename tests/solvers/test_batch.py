@@ -153,7 +153,10 @@ def test_what_is_not_an_array_of_targets_is_refused(targets):
         ([np.eye(4), np.zeros(3)], "either poses or positions"),
         ({(1.0, 0.1, 0.2)}, "not {."),
         ({"position": {"x": 1, "y": 0, "z": 0}}, "a pose that is a dict has the fields of a ROS message"),
-        (np.zeros((2, 7)), "a row with a position and a quaternion is ik.pose"),
+        (np.zeros((2, 7)), r"the numbers of a row go into ik.pose\(xyz=, quat_xyzw=\)"),
+        (np.zeros((2, 6)), r"the numbers of a row go into ik.pose\(xyz=, rpy=\)"),
+        (np.eye(4), "ik.solve takes one target, and targets one by one go into a list"),
+        (iter([np.eye(4), np.eye(4)]), "targets one by one go into a list"),
     ],
 )
 def test_what_was_given_for_targets_is_shown(targets, said):

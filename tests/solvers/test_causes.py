@@ -178,7 +178,10 @@ def test_millimetres_are_doubted_at_every_entrance(caplog, monkeypatch):
         straight = ik.line((x, 0.0, 0.0), (0.99 * x, 0.0, 0.0), duration=0.1)
         ik.track(arm, straight, dt=0.02, on_limit="leave")
         assert ("were millimetres meant?" in ik.Tracker(arm).update((x, 0.0, 0.0), 0.01).reason) == doubted
+        arm.with_tool((0.0, 0.0, x))
+        ik.CollisionModel(arm).add_sphere(0.1, (x, 0.0, 0.0))
         said = [one for one in caplog.text.splitlines() if "were millimetres meant?" in one]
+        assert [any(f"pose of a {what}:" in one for one in said) for what in ("tool", "shape")] == [doubted] * 2
         assert [any(f"{what} of tool" in one for one in said) for what in ("targets", "the path")] == [doubted] * 2
 
 

@@ -47,6 +47,21 @@ def test_options(arm, options, said):
         ik.solve(arm, arm.fk(arm.home), "lm", **options)
 
 
+@pytest.mark.filterwarnings("error")
+def test_infinity_is_no_whole_number(arm):
+    with pytest.raises(InvalidOption, match="starts must be a whole number of at least 1, not inf"):
+        ik.solve_all(arm, arm.fk(arm.home), "lm", starts=np.inf)
+
+
+def test_what_chooses_among_solutions_is_no_option_of_all_of_them(arm):
+    for options in (dict(closest=arm.home), dict(closest=True), dict(objective="mid-range"), dict(follow=0.1)):
+        (name,) = options
+        with pytest.raises(InvalidOption, match=f"so it takes no '{name}'"):
+            ik.solve_all(arm, arm.fk(arm.home), **options)
+    unset = dict(closest=False, objective=None, follow=0, timeout=None, history=np.False_)
+    assert len(ik.solve_all(arm, arm.fk(arm.home), **unset)) == len(ik.solve_all(arm, arm.fk(arm.home)))
+
+
 def test_closest_and_a_start(arm):
     q = arm.home
     with pytest.raises(InvalidOption, match="give closest=q_ref or q0, not both: the search starts at q_ref"):

@@ -83,7 +83,9 @@ def test_positions_regions_yaw_and_height_are_kept(hydrolek):
     assert found[0].count == 20
     for one in found:
         assert -1.0 <= one.x <= 0.5 and -0.5 <= one.y <= 0.6 and -0.4 <= one.yaw <= 0.3 and 0.3 <= one.height <= 0.5
-    fixed = ik.place(hydrolek, W, ((-0.3, -0.3), (0.3, 0.3)), yaw=0.0, height=0.4, count=1)[0]
+    found = ik.place(hydrolek, W, ((-0.3, -0.3), (0.3, 0.3)), yaw=0.0, height=0.4, count=1)
+    assert " 1 place to stand" in str(found)
+    fixed = found[0]
     assert fixed.yaw == 0.0 and fixed.height == 0.4 and fixed.count >= 18
 
 

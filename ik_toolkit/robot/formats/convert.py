@@ -70,13 +70,23 @@ def convert(
 def write_urdf(robot: Any, path: str | Path) -> Path:
     """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
 
-    Changes of base, tip and limits, and joints locked since loading, are not written. The log says which package_dirs the
-    meshes of the new file need. Raises ModelError if the robot was made without a URDF, InvalidOption, OSError.
+    Base, tip and what was changed since (tool, place, limits, locked joints) are not written; the log names what was changed, and
+    which package_dirs the meshes of the new file need. Raises ModelError if the robot was made without a URDF, InvalidOption,
+    OSError.
     """
     file = as_output(path, "a robot", ".urdf", ".xml")
     made = _plain(robot.name, _text_of(robot), robot.path, robot.package_dirs, file.parent)
     write_whole(file, made.text)
-    for note in made.notes():
+    changes = {
+        "tool": robot.tool_shapes or not np.array_equal(robot.tool.homogeneous, np.eye(4)),
+        "place (on_base)": robot.on_base is not None,
+        "narrower limits": robot._ranges,
+        "locked joints": robot.locked_joints,
+    }
+    notes = made.notes()
+    if lost := ", ".join(name for name, changed in changes.items() if changed):
+        notes.append(f"holds the description as it was read, without {lost}")
+    for note in notes:
         logging.getLogger("ik_toolkit").warning("%s: %s", file.name, note)
     return file
 

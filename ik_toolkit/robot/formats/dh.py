@@ -204,7 +204,7 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
 def _choice(settings: Mapping[str, Any], key: str, options: Mapping[str, Any]) -> Any:
     value = settings.get(key)
     if not isinstance(value, str) or value not in options:
-        said = "is missing" if value is None else f"is {value!r}"
+        said = f"is missing (in a CSV file, a line '# {key} = ...')" if value is None else f"is {value!r}"
         raise ModelError(f"the D-H table's setting '{key}' {said}; it must be one of: {', '.join(options)}")
     return options[value]
 

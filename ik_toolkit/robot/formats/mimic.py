@@ -102,12 +102,15 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                loose |= dict.fromkeys(walk, f"mimics itself through '{leader}'")
+                # Only the joints of the loop mimic themselves; the walk before it ends at its first joint.
+                loop = walk[walk.index(leader) :]
+                del walk[walk.index(leader) + 1 :]
+                loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}
                 break
             walk.append(leader)
         end = walk.pop()
         if end in loose:
-            why = loose[end] if end in walk else f"mimics joint '{end}', which {loose[end]}"
+            why = f"mimics joint '{end}', which {loose[end]}"
         elif end in tied or end in joints:
             kind = joints[end].attributes.get("type")
             why = "" if end in moving else f"mimics joint '{end}', which is {kind}"

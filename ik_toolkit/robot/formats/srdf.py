@@ -198,6 +198,8 @@ def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: s
     one. `own` has the configurations and pairs of the description itself; the SRDF's override them. `group` is the chosen
     one.
     """
+    if not isinstance(group, str | None):
+        raise InvalidOption(f"group takes the name of one group of the SRDF, not {group!r:.60}")
     found = _srdf_of(given, model, path)
     states, pairs = {**own.states, **found.states}, {**own.disabled, **found.disabled}
     return replace(found, states=states, disabled=pairs, group=group or "")

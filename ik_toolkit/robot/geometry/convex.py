@@ -28,7 +28,7 @@ def read_shapes(robot: Any) -> pin.GeometryModel:
         )
     shapes, problems = link_shapes(robot, "surface", MAX_SHAPES)
     if problems:
-        where = "; meshes are read from the URDF's folder, its ROS package and package_dirs="
+        where = "; meshes are read from the URDF's folder, its ROS package (with a package.xml) and package_dirs="
         hint = where if any(problem.startswith("mesh ") for _, problem in problems) else ""
         raise ModelError(
             f"the collision shapes of robot '{robot.name}' cannot be used: {problems_sentence(problems)}{hint}"

@@ -107,7 +107,7 @@ class Surroundings(ReadOnly):
             InvalidOption: `shape` is no Shape, or the name is taken.
             InvalidTarget: `pose` is neither a pose nor a position.
         """
-        form, T = is_shape(shape).form(), as_matrix(pose, "shape")
+        form, T = is_shape(shape).form(), as_matrix(pose, "shape", self.robot.reach)
         self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
         self._rebuild()
         return self
@@ -118,7 +118,7 @@ class Surroundings(ReadOnly):
         Raises InvalidOption if there is no such shape, InvalidTarget if `pose` is neither a pose nor a position.
         """
         one = self._placed[self._known(name)]
-        self._placed[name] = replace(one, T=as_matrix(pose, "shape"))
+        self._placed[name] = replace(one, T=as_matrix(pose, "shape", self.robot.reach))
         self._moved(name)
         return self
 
@@ -181,11 +181,14 @@ class Surroundings(ReadOnly):
             T = (
                 self._tip(arm, q).inverse().homogeneous @ one.T
                 if T_tip_shape is None
-                else as_matrix(T_tip_shape, "shape")
+                else as_matrix(T_tip_shape, "shape", self.robot.reach)
             )
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
-            form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape, "shape")
+            form, T = (
+                is_shape(shape).form(),
+                np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.robot.reach),
+            )
             self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self

@@ -16,6 +16,7 @@ from ...kernel.counted_error import KIND
 from ...kernel.records import AT, SIZE
 from ...robot.robot import Robot
 from ...robot.tree import Tree
+from ...validate import switch
 from ..options import BatchOptions
 from ..plan import Plan
 from ..solve import Solver, require_robot
@@ -52,7 +53,7 @@ def solve_parts(
     if executor is not None and threads is not None:
         raise InvalidOption("an executor has its own workers; omit threads=")
     check_executor(executor)
-    if options.get("history"):
+    if switch(options.get("history", False), "history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     if options.get("timeout") is not None:
         raise InvalidOption("a batch is deterministic, so it takes no timeout; use max_evaluations")

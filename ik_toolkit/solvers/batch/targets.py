@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.checks import RIGID
 from ...kernel.counted_error import KIND
-from ...robot.pose import AxisTarget, as_array, check_target
+from ...robot.pose import AxisTarget, as_array, check_target, row_hint
 from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): KIND.pose, (3,): KIND.position}
@@ -215,11 +215,9 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     tips, F = robot.tips, len(robot.tips)
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
-            hint = (
-                "; a row with a position and a quaternion is ik.pose(xyz=, quat_xyzw=)"
-                if array.shape[-1:] == (7,)
-                else ""
-            )
+            hint = row_hint(array.shape)
+            if array.shape in SHAPES:
+                hint = "; ik.solve takes one target, and targets one by one go into a list"
             raise InvalidTarget(
                 f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}{hint}"
             )
