@@ -31,7 +31,7 @@ from .laws import (
     prepare,
 )
 from .null_space_motion import away_from_limits, bend, into_null_space, scale_secondary, weigh
-from .singular_directions import judge_modes, remember
+from .singular_directions import judge_modes, remember, straight_along_axis
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 from .workspace import START, STATE
 
@@ -207,7 +207,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         gram(s.J, m, wide, 0.0, s.G)
         low = invert(s.G, m if wide else n, s.y)
-        weak = law.damping > 0.0 and not low >= border * border
+        weak = law.damping > 0.0 and (not low >= border * border or straight_along_axis(task, look, s, own.away))
     if weak:
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)

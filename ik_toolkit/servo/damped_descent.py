@@ -4,11 +4,12 @@ A tracking method brings each direction of the task to its own closest point. Wh
 part of that, the joints may creep, stop too early, or turn back and forth. An arm that is stuck in this way gets the
 joint rates y of
 
-    min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * max W * |W e|
+    min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * |H W e|
 
-(Levenberg-Marquardt; e: error, W: weights, K: gain). The neglected curvature of the tip's path under one joint adds at most
-max W * |W e| to J'W^2 J, because the path is curved at most like a circle whose radius is the arm's reach (the unit of length).
-With more damping the motion is closer to steepest descent along the limits, so the joints only stop where no descent is left.
+(Levenberg-Marquardt; e: error, W: weights, H: the largest weight at the priority level of each error, K: gain). The neglected
+curvature of the tip's path under one joint adds at most |H W e| to J'W^2 J, because the path is curved at most like a circle whose
+radius is the arm's reach (the unit of length). With more damping the motion is closer to steepest descent along the limits, so the
+joints only stop where no descent is left.
 The share is adapted: it is raised when joints turn back (they went too far) or the error does not fall, and lowered while the
 error falls.
 """
@@ -34,7 +35,7 @@ class DampedDescent(NamedTuple):
     """Thresholds by which an arm counts as stuck, and constants that adapt `share`, the factor in the damping mu of its descent."""
 
     stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
-    # [arm reaches, rad] weighted error below which the tracking method continues without a damped descent
+    # [arm reaches, rad] error, weighted as at priority level 0, below which the tracking method continues without a damped descent
     small: float = 1e-4
     stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
     # An arm makes progress if within `stalled` the weighted error falls by `progress`, or by what it would fall at `pace` times the
@@ -69,17 +70,18 @@ def feedback(law, h):
 
 
 @inner
-def stuck(law, s, limits, square, h, state):
+def stuck(law, s, limits, share, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
-    square: squared weighted error now; `state` is updated. The target stands still if neither its twist s.f (m,) nor the difference
-    between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
-    give a zero twist for a target that moves. In mode clip, which keeps to the published laws, the result is always False.
+    share (m,): weight of each error's level next to level 0; square: squared weighted error now; `state` is updated. The target
+    stands still if neither its twist s.f (m,) nor the difference between the errors now (s.e) and at the next sample (s.ahead) is
+    noticeable; the twist alone is not enough, because a caller may give a zero twist for a target that moves. In mode clip, which
+    keeps to the published laws, the result is always False.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
         most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
-    if law.mode == MODE.clip or most > DESCENT.stands or error < DESCENT.small:
+    if law.mode == MODE.clip or most > DESCENT.stands or little(share, s):
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
         way = min(DESCENT.progress, DESCENT.pace * DESCENT.stalled * fastest(s, limits, error))
@@ -90,6 +92,15 @@ def stuck(law, s, limits, square, h, state):
         ) > 0.0:
             state[STATE.share], state[STATE.lowest], state[STATE.stalled] = DESCENT.first, 0.0, 0.0
     return state[STATE.share] > 0.0
+
+
+@inner
+def little(share, s):
+    """Return whether the error s.e is small, each of its numbers weighted as if its level were the first."""
+    total = 0.0
+    for k in range(share.shape[0]):
+        total += (s.weight[k] / min(share[k], 1.0) * s.e[k]) ** 2
+    return total < DESCENT.small * DESCENT.small
 
 
 @inner
@@ -158,12 +169,14 @@ def adapt(turned, error, h, state):
 def descend(law, s, limits, h, state):
     """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
     n, m = s.J.shape
-    heavy, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), feedback(law, h), False
+    gain, limited, bent = feedback(law, h), False, 0.0
+    weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
     for k in range(m):
+        bent += (s.heavy[k] * s.e[k]) ** 2
         s.ask[k] = gain * s.e[k]
         # The Jacobian and the errors have been multiplied by the weights, so the weights become 1.
         s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
-    mu = state[STATE.share] * heavy * math.sqrt(dot(s.e, s.e, m))
+    mu = state[STATE.share] * math.sqrt(bent)
     clear(s.x)
     clear(s.v)
     for i in range(n):

@@ -117,11 +117,12 @@ def record_oscillation(law, s, code, swings, h, state):
 @inline
 def weigh_levels(share, s):
     """Write to s.heavy (m,) the largest weight of an error at each row's level; share: weight of this level next to level 0."""
-    most = 0.0
-    for k in range(share.shape[0]):
-        most = max(most, s.weight[k] / share[k])
-    for k in range(share.shape[0]):
-        s.heavy[k] = most * share[k]
+    for k in range(0, share.shape[0], 3):  # A level consists of positions and orientations, three errors each.
+        most = 0.0
+        for j in range(0, share.shape[0], 3):
+            if share[j] == share[k]:
+                most = max(most, s.weight[j], s.weight[j + 1], s.weight[j + 2])
+        s.heavy[k] = s.heavy[k + 1] = s.heavy[k + 2] = most
 
 
 @inner
@@ -293,7 +294,7 @@ def run(step, arm, given, own, samples, out, h, block):
         weigh_levels(counts[3], s)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
-        mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
+        mu = descend(law, s, limits, h, state) if stuck(law, s, limits, counts[3], square, h, state) else 0.0
         S[i] = min(max(state[STATE.near], 0.0), 1.0)
         limit_oscillation(law, s, rate, swings, h, state)
         if mu == 0.0:

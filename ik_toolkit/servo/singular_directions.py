@@ -164,6 +164,28 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 
 @inline
+def straight_along_axis(task, look, s, away):
+    """Return whether an error asks for motion that no joint makes at this pose, but the joints would if they bent (along `away`).
+
+    Only then does a row of zeros in the Jacobian make the pose singular: most such rows are zero at every pose, like that of the
+    height of a planar arm, and `gram` leaves them out.
+    """
+    n, m = s.J.shape
+    probed, straight = False, False
+    for k in range(m):
+        still = s.weight[k] * max(abs(s.e[k]), abs(s.ahead[k])) > WEAK.zero
+        for i in range(n if still else 0):
+            still = still and abs(s.J[i, k]) < WEAK.nothing
+        if still and not probed:
+            copy(away, s.x1)
+            copy(away, s.x2)
+            bend(task, look, s, False)
+            probed = True
+        straight = straight or (still and abs(s.bias[k]) > WEAK.flat)
+    return straight
+
+
+@inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
     """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
 

@@ -255,7 +255,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
 
 
 def counting(name: str, value: Any) -> Any:
-    """Validate one value of mask, slack, free_turn or frame. Raises InvalidOption."""
+    """Validate one value of mask, slack, free_turn or frame; a mask of ones and a slack of zeros are None. Raises InvalidOption."""
     if name == "frame":
         if not (isinstance(value, str) and value in FRAMES):
             raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
@@ -266,7 +266,7 @@ def counting(name: str, value: Any) -> Any:
         weights = _weights(name, value)
         if len(weights) != 6:
             raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
-        return weights
+        return weights if set(weights) != {1.0} else None
     if name == "free_turn":
         value = named_axis(value, name, InvalidOption)
     array = floats(value, f"{name} must be numbers", InvalidOption)
@@ -275,7 +275,7 @@ def counting(name: str, value: Any) -> Any:
             raise InvalidOption(
                 f"slack must have six half widths of at least 0 (x, y, z [m], rx, ry, rz [rad]; inf frees one), not {value!r}"
             )
-        return tuple(array.tolist())
+        return tuple(array.tolist()) if array.any() else None
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
     if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
         raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")

@@ -100,3 +100,16 @@ def test_a_run_that_is_taken_again_leaves_the_wishes_it_was_given(feasible):
     kept = ik.track(robot, reference, q0=q0, rate0=rate0, posture=q0, **FINE)
     other = ik.track(robot, reference, q0=q0, rate0=rate0, posture=middle, **FINE)
     assert not kept.success and other.success
+
+
+@pytest.mark.parametrize("method", ["cv", "ca", "aad"])
+@pytest.mark.parametrize("height", [0.0, 0.1])
+def test_an_arm_that_is_straight_along_an_axis_bends(method, height):
+    """There a row of the Jacobian is 0 to the last bit, like that of the height of a planar arm, and the arm stayed for ever."""
+    robot = ik.Robot.load("planar_3r")
+    tracker, straight = ik.Tracker(robot, method, q0=np.zeros(3)), robot.fk(np.zeros(3)).translation
+    for k in range(300):
+        target = straight * (1.0 - 0.15 * min(k / 200, 1.0)) + [0.0, 0.0, height]
+        step = tracker.update(target, 0.01)
+    left = robot.fk(step.q).translation - target
+    assert np.abs(left[:2]).max() < 1e-3 and abs(left[2] + height) < 1e-9

@@ -9,7 +9,7 @@ import ik_toolkit as ik
 @pytest.mark.parametrize(
     "options",
     [
-        {"mask": (1,) * 6},
+        {"mask": (1, 1, 1, 1, 1, 0.5)},
         {"mask": (1, 1, 1, 0.5, 0.5, 0.0)},
         {"mask": (0, 0, 0, 1, 1, 1)},
         {"slack": (0, 0, 0, 0, 0, 0.1)},

@@ -364,7 +364,7 @@ def test_a_solution_that_three_attempts_miss_is_found():
 
 
 @pytest.mark.parametrize("options", [
-    dict(solver="lm"), dict(restarts=249), dict(max_evaluations=5000), dict(slack=(0.0,) * 6), dict(wrap=False),
+    dict(solver="lm"), dict(restarts=249), dict(max_evaluations=5000), dict(slack=(0, 0, 0, 0, 0, 1e-3)), dict(wrap=False),
     dict(joint_weights=(1, 1, 1, 1, 1, 0.5)),
 ])  # fmt: skip
 def test_it_is_asked_only_where_nothing_else_is_asked_for(options):

@@ -309,3 +309,16 @@ def test_chains_of_relative_targets_and_circles():
             ik.solve(brokk, list(T.values()), relative_to=circle)
     with pytest.raises(errors.InvalidOption, match="Did you mean 'left_tip'"):
         ik.solve(brokk, list(T.values()), relative_to={"right_tip": "left_tp"})
+
+
+@pytest.mark.parametrize(
+    "options", [{"mask": (1,) * 6}, {"slack": np.zeros(6)}, {"mask": np.ones(6), "slack": (0,) * 6}]
+)
+def test_what_leaves_nothing_out_changes_nothing(options):
+    """It took another way of the same errors: no closed form, no proof that a list is complete, and other joint rates."""
+    robot = ik.Robot.load("inspection_7dof")
+    T = robot.fk(robot.home + 0.1).homogeneous
+    assert ik.solve(robot, T, **options).solver == ik.solve(robot, T).solver == "inspection"
+    trackers = [ik.Tracker(robot, q0=robot.home, **given) for given in ({}, options)]
+    plain, other = ([tracker.update(T, 0.01).q for _ in range(20)] for tracker in trackers)
+    assert np.array_equal(plain, other)
