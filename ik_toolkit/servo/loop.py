@@ -62,6 +62,17 @@ def initial_rates(law, J, f, G, y, limits, q, rate, state):
 
 
 @inline
+def keep_axes(counts, flip):
+    """Clear the mirror planes `flip` (F, 3) of tips whose rotation errors have slack or unequal weights, which are along axes."""
+    weight, slack = counts[0], counts[1]
+    for f in range(flip.shape[0]):
+        k = 6 * f + 3
+        even = weight[k] == weight[k + 1] and weight[k] == weight[k + 2]
+        if not (even and slack[k] + slack[k + 1] + slack[k + 2] == 0.0):
+            clear(flip[f])
+
+
+@inline
 def evaluate_task(task, look, s, V, A, plain, counts, E):
     """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
 
@@ -78,6 +89,7 @@ def evaluate_task(task, look, s, V, A, plain, counts, E):
         E[k] -= min(max(E[k], -slack[k]), slack[k])
     if not plain:
         task.mirrors(s.flip)
+        keep_axes(counts, s.flip)
         mirror_free_rows(s.flip, s.J, s.e)
         reflect(s.flip, s.f)
         reflect(s.flip, s.a)
