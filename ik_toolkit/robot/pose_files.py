@@ -229,7 +229,9 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
             f"roll, pitch, yaw are {','.join(kinds[1])})"
         )
     others = [name.removeprefix(prefix) for name in header if name.startswith(prefix) and name not in needed]
-    unread = [] if turned else rotation_columns([name for name in others if "." not in name])
+    unread = (
+        [] if turned else rotation_columns([name for name in others if name.split(".")[0] in (name, "orientation")])
+    )
     if unread or (given.euler is not None and turned in ((), kinds[0])):
         said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
         raise InvalidTarget(f"'{file}': {said}; the first line must be {forms}")

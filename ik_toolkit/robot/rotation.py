@@ -92,7 +92,7 @@ def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
 def rotation_columns(names: Sequence[str]) -> list[str]:
     """Return, in lower case, those column names that other programs use for rotations."""
     parts = ("roll", "pitch", "yaw", "rot", "quat", "euler", "orient")
-    groups = ("w p r", "u v w", "alpha beta gamma", "phi theta psi", "q0 q1 q2 q3", "q1 q2 q3 q4")
+    groups = ("w p r", "u v w", "alpha beta gamma", "phi theta psi", "q0 q1 q2 q3", "q1 q2 q3 q4", "i j k w")
     found = [name for name in names if any(part in name for part in parts)]
     return found + next((group.split() for group in groups if {*group.split()} <= {*names}), [])
 

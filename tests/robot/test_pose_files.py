@@ -42,6 +42,8 @@ REFUSED = {
     "x,y,z,w,p,r\n0,0,0,1,0,0\n": "the columns w, p, r are not read; .* x,y,z, .* or with --euler x,y,z,rx,ry,rz or x,y,z,a,b,c",
     "x,y,z,roll_deg,pitch_deg\n0,0,0,1,0\n": "the columns roll_deg, pitch_deg are not read",
     "x,y,z,q1,q2,q3,q4\n0,0,0,1,0,0,0\n": "the columns q1, q2, q3, q4 are not read",
+    "x,y,z,w,i,j,k\n0,0,0,1,0,0,0\n": "the columns i, j, k, w are not read",
+    "x,y,z,orientation.x,orientation.w\n0,0,0,0,1\n": "the columns orientation.x, orientation.w are not read",
     "x,y,z,Rot_X\n0,0,0,1\n": "the columns rot_x are not read",
     "x,y,z,a,b,c\n0,0,0,1,0,0\n": "columns a, b, c: say with --euler",
     "x,y,z,roll,pitch\n0,0,0,1,0\n": "has the columns roll, pitch; the first line must be",
