@@ -28,7 +28,7 @@ from .options import (
 )
 from .output import fixed, notice, number, show, table, unit, write_json, write_rows
 from .pictures import draw
-from .target import CountOptions, TargetOptions, in_base, relations
+from .target import CountOptions, TargetOptions, at_home, in_base, relations, request
 
 ABREAST = 4  # number of solutions for several tips that fit side by side into 80 columns
 ACROSS = 6  # number of joints whose values fit side by side into 80 columns
@@ -263,14 +263,14 @@ def _solve_one(
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
         # A solve that starts at its solution compiles or loads the code, so that the displayed time does not include this.
-        solve_one(arm, _at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
+        solve_one(arm, at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
     result = solve_one(arm, target, rule, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)
     explained = result.explain() if explain else None
-    told = {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options)}
+    told = {"kernel": first_use.kernel(), **result.to_dict(), **request(arm, target, options)}
     told |= {} if explained is None else {"explanation": explained.to_dict()}
     write_json(told, out.as_json, out.output)
     if not out.as_json:
@@ -288,24 +288,6 @@ def _solve_one(
         raise typer.Exit(1)
 
 
-def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
-    """Return a target of the same form as the given one that the robot reaches at home."""
-    T = arm.fk(arm.home)
-    if not arm.by_tip:
-        return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # an unknown tip in this option is refused later by the solver
-    return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
-
-
-def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return target and options of the request, for the JSON output."""
-    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
-    if not arm.by_tip:
-        return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}
-    relative = options.get("relative_to")
-    return {"base": arm.base, "target": plain, **({"relative_to": relative} if relative else {})}
-
-
 def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], out: SolveOutput) -> None:
     """Draw the requested pictures; targets that are relative to another tip are drawn for the robot at q."""
     if out.drawn:
@@ -320,7 +302,7 @@ def _solve_all(
     from ..solvers.solve import solve_all
 
     found = solve_all(arm, target, rule, start, **options)
-    write_json({**found.to_dict(), **_asked(arm, target, options)}, out.as_json, out.output)
+    write_json({**found.to_dict(), **request(arm, target, options)}, out.as_json, out.output)
     rows = ([*q.tolist(), float(distance)] for q, distance in zip(found, found.distance, strict=True))
     write_rows(out.csv_file, [*arm.joint_names, "distance"], rows)
     if not out.as_json:

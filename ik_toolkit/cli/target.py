@@ -240,3 +240,21 @@ def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
             T = poses[other]
             made[tip] = T.act(made[tip]) if made[tip].ndim == 1 else T.homogeneous @ made[tip]
     return made
+
+
+def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
+    """Return a target of the same form as the given one that the robot reaches at home."""
+    T = arm.fk(arm.home)
+    if not arm.by_tip:
+        return T.translation if getattr(target, "ndim", 2) == 1 else T
+    relative = options.get("relative_to") or {}  # an unknown tip in this option is refused later by the solver
+    return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
+
+
+def request(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
+    """Return target and options of the request, for the JSON output."""
+    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
+    if not arm.by_tip:
+        return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}
+    relative = options.get("relative_to")
+    return {"base": arm.base, "target": plain, **({"relative_to": relative} if relative else {})}

@@ -137,9 +137,8 @@ def read_columns(path: Path, names: Sequence[str] = (), gaps: bool = False) -> t
         for name in names:
             if top.header.count(name) != 1:
                 many = "no column" if name not in top.header else "more than one column"
-                raise InvalidTarget(
-                    f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}"
-                )
+                needed = f"it needs {', '.join(names)}.{near_match(name, top.header)}"
+                raise InvalidTarget(f"'{path.name}' has {many} '{name}'; {needed}")
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines, texts = zip(*_rows(stream, path.name, top.line), strict=True)
             columns = [top.header.index(name) for name in names]
@@ -229,9 +228,8 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
             f"roll, pitch, yaw are {','.join(kinds[1])})"
         )
     others = [name.removeprefix(prefix) for name in header if name.startswith(prefix) and name not in needed]
-    unread = (
-        [] if turned else rotation_columns([name for name in others if name.split(".")[0] in (name, "orientation")])
-    )
+    others = [name for name in others if name.split(".")[0] in (name, "orientation")]
+    unread = [] if turned else rotation_columns(others)
     if unread or (given.euler is not None and turned in ((), kinds[0])):
         said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
         raise InvalidTarget(f"'{file}': {said}; the first line must be {forms}")

@@ -207,7 +207,7 @@ def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> 
             here = [*dict.fromkeys((*allowed, *known))]
             near = near_match(option, here)
             meant = nearest(option, (other for _, of, _ in METHODS.values() for other in of), ALIKE)
-            if meant is not None and nearest(option, here, ALIKE) is None:
+            if meant is not None and (meant == option or nearest(option, here, ALIKE) is None):
                 of = " and ".join(method for method, row in METHODS.items() if meant in row[1])
                 if meant == option:
                     raise InvalidOption(f"{option} is an option of {of}, not of {name}")

@@ -9,7 +9,7 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files outside folders that grow": 275,
+    "files outside folders that grow": 249,
     "public names defined in two files or more": 9,
     "file names used twice": 4,
     "functions of more than 9 parameters": 19,
@@ -26,7 +26,12 @@ FREE = {
     "papers",
     "testing.py",
 }  # commands and papers are read one by one: a name or a length of theirs is nobody else's
-GROWS = {("solvers", "rules"), ("solvers", "closed_form"), ("robot", "formats")}  # a solver or format is a file here
+GROWS = (
+    "solvers.rules",
+    "solvers.closed_form",
+    "robot.formats",
+    "cli",
+)  # a solver, a format or a command is a file here
 
 
 def files():
@@ -36,7 +41,7 @@ def files():
 
 def grows(name):
     """Whether a module is in a folder of GROWS."""
-    return tuple(name.split(".")[1:3]) in GROWS and name.count(".") > 2
+    return name.partition(".")[2].startswith(tuple(f"{folder}." for folder in GROWS))
 
 
 def constants(path):
