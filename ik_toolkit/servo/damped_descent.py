@@ -17,7 +17,7 @@ error falls.
 import math
 from typing import NamedTuple
 
-from ..compile.jit import compiled, inner
+from ..compile.jit import compiled, inline, inner
 from ..kernel.linalg import cholesky
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
@@ -94,7 +94,7 @@ def stuck(law, s, limits, share, square, h, state):
     return state[STATE.share] > 0.0
 
 
-@inner
+@inline
 def little(share, s):
     """Return whether the error s.e is small, each of its numbers weighted as if its level were the first."""
     total = 0.0
