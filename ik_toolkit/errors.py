@@ -188,8 +188,8 @@ def masked(value: Any) -> bool:
 def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
     """Warn that large angles may have been meant in degrees.
 
-    It warns at most once for each `what` and joint, even in a loop. A value of a joint that has been warned of is not
-    warned of again if it is passed on under another `what`.
+    It warns at most once for each `what` and joint, even in a loop. There is no second warning for the same value of a joint if it
+    is passed on under another `what`.
 
     Args:
         what: What the angles are, for the message.

@@ -81,7 +81,7 @@ class WholeFile:
         """Open a temporary file next to `path`, or the device or pipe itself. Raises InvalidOption, OSError."""
         require_place(path)
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to replaced
+        place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to is replaced
         self._place = place if self.path.is_file() or not self.path.exists() else None
         self.part = self.path if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
@@ -213,8 +213,8 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
     """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
 
     Of the arrays called `names`, those in `texts` hold text, all others real numbers (no dates, complex numbers, truth
-    values or objects). None may be larger than its data, and together they may take no more than a file of this size
-    can hold.
+    values or objects). No array may declare more bytes than the file holds for it, and together they may take no more than a file
+    of this size can hold.
     """
     import numpy as np  # imported here so that `ik --help` stays fast
 

@@ -119,7 +119,7 @@ def with_points(text: str) -> str:
 
 
 def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
-    """Return a hint about decimal commas if a text has an allowed count of numbers once its commas are read that way, or ''."""
+    """Return a hint about decimal commas if a text has an allowed count of numbers when its commas are read as decimal, or ''."""
     pointed = with_points(text)
     fits = pointed and len(numbers(pointed) or []) in sizes
     return f" (a comma separates numbers); write decimals with a point: {what} {pointed}" if fits else ""

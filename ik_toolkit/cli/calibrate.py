@@ -155,7 +155,7 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]
 
 
 def _next(asked: CalibrateOptions, robot: OneTip) -> str:
-    """Return what to do with the suggested configurations: the columns to add, and the command with the options of this one."""
+    """Return a text on what to do next: which columns to add to the suggested configurations, and the command to run then."""
     from ..robot.formats.urdf import is_text
 
     what = asked.what or "position"

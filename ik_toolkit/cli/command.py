@@ -201,14 +201,14 @@ class Command(typer.core.TyperCommand):
             name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
         }
         args = _joined(args, several)
-        # This is a completion in the shell; a last option without a value would hide the arguments.
+        # The shell asks for a completion; an option at the end that still lacks its value would hide the arguments.
         if ctx.resilient_parsing:
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        # of several tips only the last would count
+        # if several tips were accepted here, only the last would count
         if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):
             names = " or ".join(TIP)
             raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")

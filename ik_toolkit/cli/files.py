@@ -169,7 +169,7 @@ def _self_collision(entry: Any, tip: str, options: dict[str, Any], samples: int 
 
 
 def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[Any], list[Any], bool]:
-    """Return all findings, errors first; the robots that can be loaded; and whether lines are those of a text made of the file."""
+    """Return all findings, errors first; the robots that can be loaded; whether lines are those of a text made from the file."""
     from ..robot.formats.finding import error_finding, notes, odd
     from ..robot.formats.urdf_check import check_urdf
     from ..robot.formats.urdf_model import build_model

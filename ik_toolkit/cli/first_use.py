@@ -17,7 +17,7 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-# environment variables: set by the user to compile and wait; set for the second run, which does not compile
+# Environment variables: the user sets the first to compile and wait; the second is set for the second run, which does not compile.
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable that marks the second or third run of a command
 BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
@@ -75,7 +75,11 @@ def instead_of_compiling() -> Iterator[None]:
 
 
 def said_before() -> bool:
-    """Return whether the first run has already shown notices: this run has not yet passed the point where the first one stopped."""
+    """Return whether the notices of this moment were already shown by an earlier run of the same command.
+
+    This is so in a rerun (AGAIN is set) until it passes the point where the first run stopped because it would have had to
+    compile.
+    """
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 

@@ -201,8 +201,9 @@ class RobotOptions:
     ) -> str | list[str] | None:
         """Return what `load` takes: one tip or None (its default) for a Robot, or a list of tips for a Tree.
 
-        The tips are those of --tip; without it all that the robot lists, or those that the targets name if it lists others or none.
-        With --group `load` takes the tips of the group: for None (no targets) it makes a Robot if there is only one, for [] a Tree.
+        The tips are those of --tip. Without it they are all that the robot lists, or those that the targets name if it lists others
+        or none. With --group, `load` finds the tips itself; then None (no targets) makes a Robot if there is only one, and [] a
+        Tree.
 
         given: targets by tip, or None without --target; relative: --relative; one: whether a single target without a tip is
         given. Raises InvalidOption.

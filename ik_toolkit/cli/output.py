@@ -102,8 +102,8 @@ def table(*columns: str, rows: Iterable[Iterable[Any]] = ()) -> "Table":
 def show(*things: Any) -> None:
     """Print tables and lines on stdout, as wide as the terminal, or 100 characters if there is none.
 
-    A dict is printed as a list of names and values, those that are None left out.
-    If a table is too wide, its padding is left out, then file names break after a folder, then all names wrap; numbers never do.
+    A dict is printed as a list of names and values, without the values that are None. If a table is too wide, first its padding is
+    left out, then file names break after a folder, then all names wrap; numbers never do.
     """
     from rich.console import Console
     from rich.segment import Segment, Segments

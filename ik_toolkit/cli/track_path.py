@@ -159,8 +159,8 @@ def _line(reference: Any) -> str:
 def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
     """Return the path asked for. Raises InvalidOption.
 
-    q: joint values (n,) of --q0, or None. counts: options by name that say which part of a target's error counts, and
-    (relative_to) which tips' targets are relative to another tip. tolerance [m]: position tolerance of the run.
+    q: joint values (n,) of --q0, or None. counts: options by name that say which part of a target's error counts, and which targets
+    are relative to another tip (relative_to). tolerance [m]: position tolerance of the run.
     """
     from ..motion.waypoints import reference_from_file
     from ..servo.path_reach import freed
@@ -234,7 +234,7 @@ def advice(
         slower = float(f"{1.1 * share * seconds:.2g}")
         fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
-    one: dict[str, str] = {}  # for each option, the advice: the largest size and the first axis that work
+    one: dict[str, str] = {}  # the advice for each option, which is the largest size or the first axis that works
     for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:

@@ -78,9 +78,9 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
     """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
-    whole when --tip is left out. With --follow the page has a target to drag, and the arm goes after it with the steps of
-    the tracker, at the edge of its reach to the closest pose; with --page that page is a file, and its solvers run in the
-    browser. Exit code 1 when the solve asked for did not succeed (it is shown all the same).
+    whole when --tip is left out. With --follow the page has a target to drag, which the arm follows with the steps of the tracker;
+    out of reach it goes to the closest pose. With --page that page is a file whose solvers run in the browser. Exit code 1 when the
+    solve asked for did not succeed (it is shown all the same).
 
     Examples:
     ik view hydrolek_7w

@@ -277,7 +277,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Return shapes that were placed on one model, placed on the links of another model or of the same one."""
+    """Move the shapes of `geometry`, in place, from the links of `original` to the links of `model` with the same names."""
     for shape in geometry.geometryObjects:
         # A shape that has only a parent joint and no parent frame is placed like that joint.
         of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)

@@ -1,4 +1,4 @@
-"""Joint values in the forms in which people have them: numbers, the name of a configuration, values by joint."""
+"""Reads joint values given as numbers, as the name of a configuration, or as values by joint."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -97,7 +97,7 @@ def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
 
 
 def near_joint(joint: Any, model: pin.Model, names: Iterable[str]) -> str:
-    """Return the end of a message on a joint that is not among `names`: the one that it follows, or a near match."""
+    """Return the end of an error message about a joint that is not in `names`: the joint it follows, or one with a similar name."""
     leader = next((tie.leader for follower, tie in leaders_of(model) if follower == joint), None)
     return near_match(joint, names) if leader is None else f" It follows '{leader}': give that joint instead."
 
@@ -139,9 +139,10 @@ def joint_values(robot: Any, q: np.ndarray) -> dict[str, float]:
 
 
 def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.ndarray:
-    """Return the configuration (nq,) of any model that has a robot's joints, by their names; others keep `rest`, or are neutral.
+    """Return the configuration (nq,) of another model in which the robot's joints, found by name, have their values at q.
 
-    Raises JointNotFound if it has no joint of that name for one of q, InvalidOption, InvalidConfiguration.
+    All other joints keep their values in `rest` (nq,) or, without it, are neutral. Raises JointNotFound if the model lacks a joint
+    of q, InvalidOption, InvalidConfiguration.
     """
     if not isinstance(model, pin.Model):
         raise InvalidOption(f"model must be a pin.Model, not {type(model).__name__}")

@@ -1,8 +1,7 @@
-"""Loops, and relations between joints that no mimic joint can express, as a description demands them of its joints.
+"""Constraints that a robot description has: loops, and relations between joints that no mimic joint can express.
 
-No solver keeps them. They are evaluated at a finished q, with Pinocchio on the whole model: joints off the path are
-first moved to close the loops that the joints of q take part in, and what stays open is reported. Robots without
-constraints have no cost.
+Solvers ignore them. They are evaluated at a finished q, with Pinocchio on the whole model. Joints off the path are first moved to
+close the loops that depend on joints of q; loops that stay open are reported. Robots without constraints pay nothing for this.
 """
 
 import functools

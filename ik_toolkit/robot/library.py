@@ -272,7 +272,7 @@ def find(source: str | Path) -> RobotEntry:
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
     name = str(source)
-    if name in shipped_robots():  # given as a Path
+    if name in shipped_robots():  # such a name may have been given as a Path
         return shipped_robots()[name]
     if name in DATA_ROBOTS or name in data_files():
         path, folders = example_robot_data(name)

@@ -117,7 +117,7 @@ def read_both(
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
-    """Return model, collision shapes and visual shapes (or None), which the caller gives singly, as a tuple or as a RobotWrapper.
+    """Return model, collision shapes and visual shapes (or None), given one by one, as a tuple or as a RobotWrapper.
 
     If none is given, the model is built from the URDF text, if there is one. Raises ModelError.
     """
@@ -162,8 +162,8 @@ def default_base(
 ) -> str | None:
     """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
 
-    The link that a free joint carries is the base if the tip is below a floating or planar joint without base_limits. This joint is
-    then locked, and a note about that is added to `made`, the arguments for `Robot`.
+    The last is used if the tip is below a floating or planar joint and no base_limits are given. This joint is then locked, and a
+    note about that is added to `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -194,7 +194,8 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
 def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.ndarray) -> list[str]:
     """Return a note if a description seems to be in millimetres because its links are too light for their length; else nothing.
 
-    Cranes and concrete pumps over 50 m long weigh hundreds of kilograms a metre, table-top arms described in millimetres grams.
+    Cranes and concrete pumps over 50 m long weigh hundreds of kilograms per metre; a table-top arm described in millimetres would
+    weigh grams per metre.
 
     Args:
         model: of the robot.

@@ -80,7 +80,7 @@ class Mobility:
         return found
 
     def _never_stands(self, R: np.ndarray, free: np.ndarray, of_base: bool, tolerance: float) -> list[str]:
-        """Return a sentence if an axis of the tip never stands to one of the base as in a target's rotation R (3, 3).
+        """Return a sentence if some tip axis never has the angle to a base axis that a target's rotation R (3, 3) demands.
 
         free: axis (3,) about which the rotation is free, of the tip or (of_base) of the base; the arm fixes the other one.
         """
@@ -141,7 +141,8 @@ def mobility_of(arm: Any) -> Mobility:
     tip_axis = None
     if axis is not None:
         tip_axis = T[0, :3, :3].T @ axis
-        if tip_axis[np.abs(tip_axis).argmax()] < 0.0:  # Signs are chosen so that the tip's axis is positive.
+        # The signs are such that the largest component of the tip's axis is positive.
+        if tip_axis[np.abs(tip_axis).argmax()] < 0.0:
             axis, tip_axis = -axis, -tip_axis
     normals = ways[:, moves:].T
     normals = normals * np.sign(normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)])[:, None]

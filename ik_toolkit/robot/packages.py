@@ -24,9 +24,9 @@ def find_package(
 ) -> Path | None:
     """Find the folder of a ROS package, with symbolic links resolved, or return None.
 
-    The name of a package is that in its package.xml, or the folder's. package_dirs are folders that are packages or
-    contain some; start is the referring file, whose parent folders are searched, and the packages next to them; then
-    come ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages installed by pip.
+    The name of a package is that in its package.xml, or the folder's. These are searched in turn: package_dirs (packages, or
+    folders that contain some), the parent folders of the referring file `start` and the packages next to them, ROS_PACKAGE_PATH,
+    AMENT_PREFIX_PATH, and data packages installed by pip.
     """
     if not NAME.fullmatch(name) or set(name) == {"."}:
         return None

@@ -122,8 +122,8 @@ def pose(
     Args:
         xyz: Position [m] of the tip in the base frame, by default the origin.
         rpy: Roll, pitch and yaw [rad] in URDF's order: Rz(yaw) Ry(pitch) Rx(roll).
-        quat_xyzw: Quaternion with the scalar last. One whose length is off 1 by at most 1 % is normalised, above 0.1 % with a
-            warning.
+        quat_xyzw: Quaternion with the scalar last. If its length differs from 1 by at most 1 %, it is normalised, above 0.1 % with
+            a warning.
         quat_wxyz: The same with the scalar first.
         rotation: Rotation matrix (3, 3), T_base_tip.
         axis: Axis (3,) in the tip frame that points along `direction`, by default z.
@@ -274,8 +274,8 @@ def _near(position: np.ndarray) -> np.ndarray:
 def as_matrix(pose: Any, of: str = "target", reach: float = math.inf) -> np.ndarray:
     """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
 
-    of: what it is the pose of, for messages. reach: that of the arm [m]; a pose many reaches away is doubted in the log. Raises
-    InvalidTarget.
+    of: name of the thing whose pose is given, used in error messages. reach: the arm's reach [m]; a pose many reaches away is
+    reported in the log. Raises InvalidTarget.
     """
     T = corrected(pose, of)
     doubt_lengths(f"the pose of a {of}", float(np.abs(T if T.ndim == 1 else T[:3, 3]).max()), reach)
@@ -317,7 +317,7 @@ def as_array(target: Any, base: str = "") -> Any:
 
 
 def row_hint(shape: tuple[int, ...]) -> str:
-    """Return the end of a message on rows of 6 or 7 numbers: how the pose in such a row is given; '' for other shapes."""
+    """Return the end of an error message about rows of 6 or 7 numbers, which says how to give such a pose; '' for other shapes."""
     given = {6: "rpy", 7: "quat_xyzw"}.get(shape[-1] if shape else 0)
     return f"; the numbers of a row go into ik.pose(xyz=, {given}=)" if given else ""
 
@@ -327,7 +327,7 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
 
     Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
     must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
-    says so. of: what it is the pose of, for messages. Raises InvalidTarget otherwise.
+    says so. of: name of the thing whose pose is given, used in error messages. Raises InvalidTarget if the target is none of these.
     """
     needed = f"{'a target' if of == 'target' else f'the pose of a {of}'} must be {FORMS}"
     T = floats(as_array(target, base), needed, InvalidTarget)

@@ -70,7 +70,7 @@ def _array(path: Path, name: str, value: Any, base: str) -> np.ndarray:
         rows = [_as_numbers(_of_message(path, k, row, base)) for k, row in enumerate(value)]
         shape = next((row.shape for row in rows if row is not None), ())
         wrong = [k for k, row in enumerate(rows) if row is None or row.shape != shape]
-        if not wrong:  # messages
+        if not wrong:  # all rows are ROS messages, or numbers, of one shape
             return np.array(rows)
         more = f"; so {'are' if wrong[2:] else 'is'} {row_numbers('row', wrong[1:])}" if wrong[1:] else ""
         many = f" {shape[0]}" if len(shape) == 1 else ""

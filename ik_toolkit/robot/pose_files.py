@@ -2,11 +2,11 @@
 
 CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or three angles, and t [s] where times are requested, in any order.
 Other columns are ignored, unless they have names of a rotation. The angles are roll,pitch,yaw about x, y and z (also called
-rx,ry,rz), or a,b,c one after another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas,
-decimals may be written with a comma. Excel's first line sep=; is skipped, and so are blank lines; a warning names those that rows
-follow. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N, 4, 4) or (N,
-3). JSON: an object with lists under these names, or just a list of targets, which may be ROS messages (see `ros.read_pose`), or a
-PoseArray or nav_msgs/Path.
+rx,ry,rz), or a,b,c one after another; see `Convention`. Columns are separated by commas, semicolons or tabs; in the latter two
+cases numbers may have a decimal comma. Excel's first line sep=; is skipped, and so are blank lines; a warning names the blank lines
+that are followed by rows. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also
+`targets` (N, 4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets, which may be ROS messages
+(see `ros.read_pose`), or a PoseArray or nav_msgs/Path.
 
 For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or (N,
 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without data
@@ -278,7 +278,7 @@ def _rows(stream: TextIO, name: str, top: int) -> Iterator[tuple[int, str]]:
 
     A warning names blank lines that other lines follow.
     """
-    gaps: list[int] = []  # number of the first line after each gap
+    gaps: list[int] = []  # number of the first blank line in each gap
     skipped, before = 0, top
     for k, line in enumerate(_lines(stream, name), 1):
         if k <= top or _blank(line):

@@ -42,10 +42,11 @@ class JointPath(NamedTuple):
     """The joints between base and tip, and the indices of their coordinates in Pinocchio's configuration."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
-    # Number of leading joints that run from the base towards the root, up to the last link that it shares with the tip.
+    # Number of joints at the beginning that run from the base up towards the root, to the nearest link above both base and tip.
     up: int
     leaders: list[int]  # Id of the joint of each coordinate, in order of first use.
-    # Number of leading coordinates that move the tip's branch; the others move the base's branch, for another tip only.
+    # Number of leading coordinates that move the tip's own branch. The remaining ones move only the branch that carries the base;
+    # they are listed because they move for another tip.
     own: int
     owner: dict[int, int]  # for each moving joint of the model, the index of its coordinate
     idx_q: np.ndarray  # Indices (n,) of the coordinates in q.

@@ -76,7 +76,7 @@ class Robot(Joints):
 
         home (n,) [rad or m] is a good, non-singular start, by default mid-range. urdf (text or path) has what the model lacks:
         limits of mimic joints, and shapes; without a model it is read from there. A free-flyer of the model counts as a floating
-        base and needs base_limits. others are joints that move for other tips (see Tree); those that move the base's branch are
+        base and needs base_limits. others are joints that move for other tips (see Tree); those on the base's branch are
         coordinates too. Raises FrameNotFound, JointNotFound, RobotNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)

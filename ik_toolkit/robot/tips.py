@@ -109,7 +109,7 @@ def _carrier(model: pin.Model, frame: pin.Frame) -> pin.Frame:
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:
     """Return the candidates for the tip: the likely ones, then the other ends of the model's paths.
 
-    What a floating or planar joint carries by itself is none: the joint is held still without limits.
+    A frame that only a floating or planar joint moves is not a candidate, because without limits such a joint is held still.
     """
     ends = dict.fromkeys((*guess_tip(model).tips, *path_ends(model)))
     on = {frame.name: model.joints[frame.parentJoint].shortname() for frame in model.frames}

@@ -49,7 +49,7 @@ def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
 
 
 def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot:
-    """Return an arm of a tree whose joints `names` move: joints on the base's branch become coordinates of the arm.
+    """Return an arm for a tree in which the joints `names` move: those on the base's branch become coordinates of the arm.
 
     home: values of all joints by name [rad or m]. If no coordinate is added, the arm itself is returned.
     """
@@ -67,8 +67,8 @@ def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot
 class Tree(Joints):
     """Several tips of one model: `Tree.load(name, tips=["left_tip", "right_tip"])`, or `Tree([left, right])` from robots.
 
-    q (n,) has every joint of the paths once: those of the first tip's path, base to tip, then those the next tip's path
-    adds, and so on. The arms share model, base and resting joints (otherwise ModelError); each may have its own tool.
+    q (n,) has every joint of the paths once. Those of the first tip's path come first, from base to tip, then those that the next
+    tip's path adds, and so on. The arms share model, base and resting joints (otherwise ModelError); each may have its own tool.
     Attributes are those of `Joints`, and as in `Robot` base, locked_joints, urdf, path, package_dirs, on_base and
     base_limits; reach [m] is the largest bound of the arms'.
     """

@@ -163,7 +163,7 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
     rows = rows if many or np.ndim(rows) == 2 else [rows]
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
-    if rows is not what and len(rows) > 1:  # of a result, which may be long
+    if rows is not what and len(rows) > 1:  # The rows of a result may be many, so only the first is checked.
         robot.check_q(rows[0])
         return np.array(rows, dtype=float), motion
     return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
@@ -191,7 +191,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 def draw_solve(scene: Any, result: Any) -> None:
     """Animate the iterates of the attempt that found a Result with history, ending there.
 
-    Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
+    The tip path and a ghost at the attempt's start are drawn, too, and the tip paths of the other attempts, thin and grey.
     """
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
@@ -260,11 +260,11 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
     """Write a Window as a .png file of a size [pixels], or its animation as a .gif or .mp4 file of at most `most` pictures."""
     from .picture import encoder, film, picture
 
-    with drawing():  # says what to install
+    with drawing():  # raises MissingExtra, which says what to install
         from PIL import Image
     file = as_output(path, "the picture", *((".gif", ".mp4") if most else (".png",)))
     kind, made = file.suffix.lower(), window.about["animation"]
-    coder = encoder() if kind == ".mp4" else ""  # says what to install before the pictures are made
+    coder = encoder() if kind == ".mp4" else ""  # raises MissingExtra before the pictures are made
     require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
     if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():

@@ -106,8 +106,8 @@ class Body:
     """The drawn parts of a robot and their placements.
 
     parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world, with a scale for bars; notice ('' or
-    what is not drawn, and why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that
-    never moves; joints: ids in the model of all joints between base and tips, those that mimic others included.
+    what is not drawn, and why); T_world_base (4, 4) at rest; `floor`, the height [m] of the floor, under the robot's lowest part
+    that never moves; `joints`, the ids in the model of all joints between base and tips, those that mimic others included.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -161,7 +161,7 @@ class Body:
         return gap.max(axis=(0, 2, 3)) > SEEN
 
     def bounds(self, q: Any, still: bool = False, world: np.ndarray | None = None) -> np.ndarray:
-        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only.
+        """Return corners (2, 3) [m] of the robot's bounding box at q, in world axes; with `still` only of parts that never move.
 
         `world`: pose (4, 4) [m] of the robot's world frame in another frame; the box is then in the axes of that frame.
         """
@@ -252,7 +252,7 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
             key = start.joint, end.joint, *start.place, *end.place
             if link:
                 parts.setdefault(key, BodyPart(f"{name}_bar_{arm.tip}", (bar,), joint, at, end, r))
-            else:  # the rod of a slide, between its joint and a knob on the parent's link
+            else:  # The rod of a prismatic joint is between the joint and a knob on the parent's link.
                 foot = min(start, end)
                 parts.setdefault(key, BodyPart(f"{name}_stroke", (rod,), start.joint, at, end, 0.6 * r))
                 at = pin.SE3(np.eye(3), foot.place)

@@ -88,7 +88,10 @@ class Feed:
 
 
 class Guest:
-    """Draws a scene in the caller's viewer, too: a meshcat viewer, or Pinocchio's, in which the robot drawn there then moves."""
+    """Draws the scene in a viewer of the caller as well: a meshcat Visualizer, or Pinocchio's MeshcatVisualizer.
+
+    In the latter, the robot that is already loaded is moved, not drawn again.
+    """
 
     def __init__(self, window: Any, viewer: Any, parts: Iterable[str]) -> None:
         """Clear earlier drawings of this package in the viewer; parts: names of the robot's parts. Raises InvalidOption."""

@@ -28,7 +28,8 @@ class Interaction:
         self.follow(target)
         scene.on_drag(self.follow)
         eye, to = np.array(scene.window.about["camera"][:2])
-        scene.look((to + 1.5 * (eye - to)).tolist(), to.tolist())  # there must be room to drag
+        # The camera moves back, so that there is room to drag the target.
+        scene.look((to + 1.5 * (eye - to)).tolist(), to.tolist())
 
     def follow(self, target: Any) -> None:
         """Solve for a target, and show the answers: the first solver's as the robot, the others' as translucent copies."""

@@ -65,7 +65,8 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
     size = float(np.linalg.norm(bounds[1] - bounds[0]))
-    floor = {"z": body.floor, "cell": grid_cell(size), "wide": 2.5 * size}  # height, and width of a cell and of all [m]
+    # height of the floor, width of a cell and of the floor [m]
+    floor = {"z": body.floor, "cell": grid_cell(size), "wide": 2.5 * size}
 
     def at(joint: int, T: pin.SE3) -> dict[str, Any]:
         node, offset = places[joint]

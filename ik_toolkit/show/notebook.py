@@ -70,7 +70,7 @@ class InCell(SceneState):
                 targets[tip] = T if grips[one] else T[:3, 3]
         try:
             self._call(self.robot.for_tips(targets))
-        except Exception as error:  # of the user's function: the cell is the only place where it can be seen
+        except Exception as error:  # An error of the user's function can be seen only in the cell.
             self.say(f"{type(error).__name__}: {error}")
 
     def connect(self) -> None:
@@ -158,7 +158,7 @@ def _bundle(
     """Return the outputs of a cell: a still picture, over which a script puts a frame (iframe) with the first of the parts."""
     try:
         png = {"image/png": base64.b64encode(picture(window)).decode()}
-    except MissingExtra:  # no matplotlib, which the scene itself does not need
+    except MissingExtra:  # matplotlib is missing, which the scene itself does not need
         png = {}
     told["needs"] = [key for key, _ in parts]
     calls = [f"ikCells.keep({_literal(key)}, {_literal(text)});" for key, text in parts if _missing(key)]

@@ -208,7 +208,7 @@ def _covered(P: np.ndarray, shares: np.ndarray, W: int, H: int) -> Iterator[tupl
     left, right = np.zeros(len(owner)), np.full(len(owner), float(W))
     for a, b, c in np.moveaxis(shares[:, owner], 2, 1):
         with np.errstate(divide="ignore", invalid="ignore"):
-            ends = -(a + c * (y + 0.5)) / b  # NaN, which ends nothing, on a side along the row
+            ends = -(a + c * (y + 0.5)) / b  # NaN for a side that is parallel to the row and therefore ends nothing
         left, right = np.fmax(left, np.where(b > 0, ends, 0.0)), np.fmin(right, np.where(b < 0, ends, W))
     start = np.clip(np.ceil(left - 0.5), 0, W).astype(int)
     count = np.maximum(np.clip(np.ceil(right - 0.5), 0, W).astype(int) - start, 0)
@@ -283,7 +283,7 @@ def encoder() -> str:
 
 
 def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
-    """Encode pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: times for which they are shown, similar except for the last.
+    """Encode pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: how long each is shown, similar for all but the last.
 
     Raises InvalidOption if ffmpeg fails, with what it says.
     """

@@ -280,7 +280,7 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
         return figure
 
 
-ALONE: dict[type, Callable[[Any], Any]] = {  # what needs nothing else to be drawn
+ALONE: dict[type, Callable[[Any], Any]] = {  # types of results that are drawn without a robot or target
     PathResult: plot_motion,
     Trajectory: plot_motion,
     Benchmark: plot_benchmark,

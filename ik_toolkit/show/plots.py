@@ -126,7 +126,7 @@ def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.n
     last = int(same[-1]) if len(same) else len(number) - 1
     rows = np.flatnonzero(number[: last + 1] == number[last])
     Q, position, angle = (np.asarray(history[key])[rows] for key in ("q", "position_error", "orientation_error"))
-    if not len(same):  # refined after the search
+    if not len(same):  # The result was refined after the search.
         Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
         angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
     return Q, position, angle, [np.flatnonzero(number == one) for one in np.unique(number) if one != number[last]][:12]
@@ -195,7 +195,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
         ax.plot(*ways[:1, k].T, color=COLOURS[1], marker="s", ms=5, ls="", label=names[2], zorder=4)
     corners = np.vstack([*skeletons(robot, result.q[0]), ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a planar arm still gets a box with some depth
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # A planar arm gets a box with some depth, too.
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)

@@ -97,7 +97,7 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     points = points @ base[:3, :3].T + base[:3, 3]
     sizes, shape = found.grid.size, found.grid.shape
     across = next((k for k in (1, 0, 2) if shape[k] > 1), 1) if found.grid.poses is None else 1
-    plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]  # single poses are all in one
+    plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]  # Single poses are all in one plane.
     big = 0.55 * float(sizes[sizes > 0].min()) if (sizes > 0).any() else 0.01 * scene._extent()
     used = np.unique(plane[yes])
     for k in used:

@@ -37,7 +37,7 @@ class Scene(InCell):
     def update(self, what: Any, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
         """Show another configuration or result, as `view` does; robot, tips, target, caption and drawings of a result are replaced.
 
-        A target or a cloud that is not given stays, and so does what was added by name, and the camera, unless a tip or the target
+        A target or a cloud that is not given stays, and so does what was added by name. The camera stays unless a tip or the target
         would be outside the picture. Invalid input raises, as in `view`, and changes nothing.
         """
         rows, motion = animation.shown_rows(self.robot, what)
@@ -100,8 +100,8 @@ class Scene(InCell):
     ) -> None:
         """Draw a robot at q (n,) [rad or m], or move it there, and give it a colour or an opacity, which it keeps.
 
-        With the scene's robot its tip axes move; target, trail, caption and animation of an earlier result are removed. Another
-        name stands for a copy, whose parts that coincide with those of other copies are not drawn, or for a robot that was added.
+        If it is the scene's robot, its tip axes move too; target, trail, caption and animation of an earlier result are removed.
+        Any other name is that of a robot that was added or of a copy, whose parts that coincide with other copies are not drawn.
 
         Args:
             q: Joint values of the robot of this name.

@@ -171,7 +171,7 @@ class SceneState(Unique):
             self.window.place(f"{name}/{part.name}", T)
 
     def _refresh(self) -> None:
-        """Draw of each copy only the parts that do not always coincide with those of an earlier robot, also in the animation."""
+        """Draw each copy without the parts that coincide, in all frames of the animation, with those of a robot drawn before."""
         earlier: list[np.ndarray] = []
         for name in sorted(self._placed, key=lambda name: name != "robot"):
             body, _ = self._body(name)

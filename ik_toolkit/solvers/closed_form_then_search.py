@@ -152,7 +152,7 @@ def continue_with(
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float) -> None:
-    """Write what the search found, one row a failed one, into the rows `failed` of out (N, SIZE.answer + n), see `with_search`."""
+    """Write what the search found into the rows `failed` of out (N, SIZE.answer + n), a row for each, see `with_search`."""
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
     solved = found[:, AT.status] == CODE.converged

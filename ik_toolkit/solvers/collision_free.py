@@ -45,8 +45,8 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
 
     Random starts are solved in rounds of ROUND starts (with `closest` in a single round of all). The first round with
     solutions free of contact ends the search, and of these the one nearest the start is chosen. Without any, the status is
-    COLLISION. The counts are those of all starts. `then`: steps that improve a free answer; one that causes a contact is
-    undone.
+    COLLISION. The counts are those of all starts. `then`: steps that improve an answer without contact; a step that causes a
+    contact is undone.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
@@ -67,7 +67,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
 
 
 def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarray:
-    """Return the result rows of attempts from Q0 (m, n): of all, or of as many as the `budget` of evaluations allows."""
+    """Return the result rows of attempts from the starts Q0 (m, n), or from as many as the `budget` of evaluations allows."""
     out = np.empty((len(Q0), len(outcome.row)))
     if budget == np.inf:
         single.run(np.repeat(outcome.T, len(Q0), axis=0), outcome.kinds, Q0, True, out)

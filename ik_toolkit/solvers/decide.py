@@ -34,7 +34,7 @@ HONOURED = {
 
 
 class DecisionMargins(NamedTuple):
-    """Margins by which a certificate must be clear: a search may stop anywhere within its tolerances e [over the arm's size]."""
+    """Margins that a certificate must keep, because a search may stop anywhere within its tolerances e [over the arm's size]."""
 
     attempts: int = 3  # attempts of the search before the elimination; they solve most targets, in a tenth of the time
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
@@ -42,10 +42,10 @@ class DecisionMargins(NamedTuple):
     # target.
     gap: float = 30.0
     same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
-    # with a solution d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor
+    # If a solution is d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor.
     gain: float = 10.0
     # A pose whose errors are both below this many tolerances decides nothing: another one nearby, with one error larger and
-    # the other smaller, may be inside both. It was so at one of 72,000 targets.
+    # the other smaller, may be inside both. This happened at one of 72,000 targets.
     beside: float = 3.0
     # With looser tolerances nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose had no
     # solution.
@@ -131,7 +131,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
     A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
     solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
-    Other targets stay undecided, and their rows as they are. Returns whether the whole search is to continue for some target.
+    Other targets stay undecided and their rows unchanged. Returns whether the whole search is to continue for some target.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -209,7 +209,7 @@ def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Deciding(Plan):
-    """The general search with a few attempts, then the elimination, then, where that is not certain, the whole search."""
+    """The general search with a few attempts, then the elimination, then, where that decides nothing, the whole search."""
 
     @functools.cached_property
     def first(self) -> Plan:
@@ -261,7 +261,7 @@ class Deciding(Plan):
             out[left] = made
 
     def _decide(self, T: np.ndarray, kinds: tuple, starts: np.ndarray, given: bool, made: np.ndarray) -> None:
-        """Let the elimination decide on result rows `made` (N, width); where it is not certain, the whole search continues."""
+        """Let the elimination decide on result rows `made` (N, width); where it decides nothing, the whole search continues."""
         rows, ends, box, orders, terms, (forms, arm) = self._fixed(given)
         found = answers(forms, arm, np.ascontiguousarray(T), self.within)
         if not decide_rows(rows, ends, T, found, box, starts, orders, terms, made):
@@ -275,7 +275,7 @@ class Deciding(Plan):
         made[still[taken]] = rest[taken]
 
     def _fixed(self, given: bool) -> tuple[Any, ...]:
-        """Return the arguments that do not depend on the targets: rows, ends, box, orders, terms; those of `answers`."""
+        """Return what does not depend on targets: rows, ends, box, orders, terms of `decide_rows`, arguments of `answers`."""
         if ("fixed", given) not in self.memo:
             exact, free, o = self.exact, self.exact_free, self.options
             terms = (

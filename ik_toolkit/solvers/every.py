@@ -31,14 +31,14 @@ APART = 1e-6
 
 
 class CertainLists(NamedTuple):
-    """Certified lists of N poses, of which Solutions are made when they are asked for."""
+    """Certified lists of the solutions of N poses; the `Solutions` of a pose are made when they are asked for."""
 
     plan: Plan
     final: bool  # whether the lists need no further step: no collisions, constraints or Pinocchio to ask
     table: np.ndarray  # (M, 3 + n) the rows of `polish.list_with` of all poses
-    # (N, .) where the rows of each pose begin, their number, and evidence that they are all, see `elimination.list_certain`
+    # (N, .) for each pose the index of its first row, the number of its rows, and evidence that these are all (`list_certain`)
     notes: np.ndarray
-    notice: str  # that q0 was clamped, or ""
+    notice: str  # text that says that q0 was clamped, or ""
 
     def rows(self, k: int) -> np.ndarray:
         """Return the rows of `table` that belong to pose k."""
@@ -46,7 +46,7 @@ class CertainLists(NamedTuple):
         return self.table[int(first) : int(first + kept)]
 
     def solutions(self, k: int, notice: str = "") -> Solutions | None:
-        """Return the Solutions of pose k, with a notice in their message, or None if its list is not certain."""
+        """Return the Solutions of pose k, with `notice` in their message, or None without a certified list (see `list_certain`)."""
         first, kept, *evidence = self.notes[k].tolist()
         if kept < 0.0:
             return None
@@ -61,7 +61,7 @@ class CertainLists(NamedTuple):
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
-    if isinstance(target, list | tuple):  # of poses or positions, or one of these
+    if isinstance(target, list | tuple):  # a list of targets, or one target as nested lists
         each_one = [getattr(one, "homogeneous", one) for one in target]
         target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
     shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)  # a target of a Tree has a leading axis
@@ -94,7 +94,7 @@ def is_plain(solver: Any, target: Any, several: bool) -> bool:
 def _find(
     solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool, lists: CertainLists | None, k: int = 0
 ) -> Solutions:
-    """Find Solutions of one target; lists: what `_certain` has made of it, as number k, or None."""
+    """Find Solutions of one target; lists: the result of `_certain`, in which this target is number k, or None."""
     T, kinds, notice = _read(solver, target)
     lister = solver.lister if kinds == POSES else None
     plan = lister or solver.plan_for(kinds)
@@ -129,12 +129,12 @@ def _find(
     if not len(found):
         failed = solver(target, q0)
         if failed.success:
-            # It is between the samples of a family, or beside an exact solution that breaks a limit, inside the tolerances.
+            # This answer lies between the samples of a family, or within the tolerances of an exact solution that breaks a limit.
             turned = None if failed.orientation_error is None else np.array([failed.orientation_error])
             errors = np.array([failed.position_error]), turned
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
             found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
-        elif not (listed and found.complete):  # otherwise it says why all are left out
+        elif not (listed and found.complete):  # a complete list already says why all its solutions are left out
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
@@ -143,7 +143,7 @@ def _find(
 
 
 def _without(found: Solutions, good: list[bool], why: str, whole: bool = True) -> Solutions:
-    """Return the solutions that are good; if `whole`, a list of all solutions is then one of all good ones."""
+    """Return the solutions that are good; if `whole`, a complete list still counts as complete, as one of all good solutions."""
     if all(good):
         return found
     kept = found.keep(np.array(good))
@@ -154,7 +154,7 @@ def _without(found: Solutions, good: list[bool], why: str, whole: bool = True) -
 def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions:
     """Return each solution with all shifts by 2 pi k inside the limits, nearest to start (n,) first; at most `count` of them.
 
-    Where solutions merge they are known to about 1e-7 rad, so one beside a limit is put on it and kept if it meets the tolerances.
+    Merging solutions are known only to about 1e-7 rad, so one just beyond a limit is put on it and kept if it meets the tolerances.
     """
     robot = plan.robot
     if not plan.options.limits:
@@ -205,7 +205,7 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
-    """Return the lists of the poses T (N, 4, 4) that are certain and not longer than count, by the elimination's plan.
+    """Return the certified lists of the poses T (N, 4, 4), each of at most `count` solutions, by the elimination's plan.
 
     Their Solutions are what `_listed` returns, in less time.
     """

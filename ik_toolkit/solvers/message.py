@@ -35,7 +35,7 @@ ADVICE = {
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
 
-# With a failed closed form, the configuration returned is the best that it or the search after it found.
+# If a closed form fails, the configuration returned is the best that it or the search after it found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",
     Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the closest configuration found is {left} away{at}",
@@ -87,7 +87,7 @@ def sentence(result: Any) -> str:
 
 
 def _missed(result: Any) -> str:
-    """Say which errors of lower priority are left at q and which are in tolerance, or return '' if all are."""
+    """Say which errors of lower priority are left at q and which are in tolerance, or return '' if all are in tolerance."""
     plan, found = result._of.plan, {True: [], False: []}
     if plan.options.priority is None:
         return ""
@@ -139,7 +139,7 @@ def why_missed(result: Any) -> str:
     """Say which limit, or what in the arm's structure, keeps it from the target, and what to try; or return ''."""
     if result.status not in SHORT:
         return ""
-    # with a priority lower levels may be missed, so few joints are no cause
+    # With a priority, lower levels may be missed, so too few joints are not given as the cause.
     ordered = result._of.plan.options.priority is not None
     outside = "" if ordered else _outside(result)
     if outside:
@@ -337,7 +337,7 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Return a sentence that a pose's position can be reached, and by how much the orientation is then off; or ''.
+    """Return a sentence which says that a pose's position can be reached, and how large the orientation error then is; or ''.
 
     turned: whether another sentence already tells the orientation error, which is then left out.
     """

@@ -34,14 +34,15 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """Options of a solve, the same for every solver.
 
-    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs, 1e-14 or more. max_iterations: steps per
-    attempt; restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
-    all attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the
-    same answer again. At least 256 evaluations are always made. seed: number that fixes the random starts. length_scale: after a
-    failure q has the least error nearby, in which a position error of this length [m] counts as much as one radian (None: the
-    robot's reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or
-    a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may continue from the other
-    end of its range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop).
+    position_tolerance [m], orientation_tolerance [rad]: both errors of a solution must be below them; at least 1e-14.
+    max_iterations: steps per attempt; restarts: further attempts from other starts (None: the solver's own). max_evaluations:
+    budget of FK evaluations over all attempts. timeout: the same budget in seconds, which is not deterministic;
+    max_evaluations=result.fk_evaluations gives the same answer again. At least 256 evaluations are always made. seed: number that
+    fixes the random starts. length_scale: after a failure q is a local minimum of the error, in which a position error of this
+    length [m] counts as much as one radian (None: the robot's reach). limits: whether joints are kept inside their limits.
+    Functions with these options also accept narrower limits: a dict from joints to (lower, upper), or a pair of arrays (see
+    `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may continue from the other end of its range,
+    where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop).
     q0_outside: 'clamp' (with a notice) or 'refuse'.
 
     These options say which part of the errors counts. A tip has the errors x, y, z [m] (target - tip) and rx, ry, rz [rad] (the

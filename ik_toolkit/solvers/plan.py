@@ -1,6 +1,6 @@
 """A plan: a solver bound to a robot and options, as arrays of the compiled search that are made once and used by every call.
 
-If some joints are held, they have their values of the first start in every start of a search.
+Joints that are held keep one value in all starts of a search: the one that they have in the first start.
 """
 
 import copy
@@ -273,7 +273,7 @@ class Plan:
 
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
-            # the first start with a NaN, if there is one
+            # the first start with a NaN, else the one with the largest joint value outside its limits
             k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
         robot.check_q(Q[k], called(k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q

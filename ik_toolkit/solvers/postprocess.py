@@ -85,9 +85,9 @@ def finish_failures(
 def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
     """Finish, in place, the result rows (m, width) of failed searches for targets T from starts (m, n).
 
-    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either, or one inside the limits
-    does. Then, if the solver asks for it (`plan.descends`), the row's q is moved to the configuration nearby that is closest to the
-    target.
+    LIMIT_BLOCKED becomes STALLED if a short search without limits does not reach the target either, or if a short search inside the
+    limits does reach it. Then, if the solver asks for it (`plan.descends`), the row's q is moved to the configuration nearby that
+    is closest to the target.
     """
     for k, row in enumerate(rows):
         if row[AT.status] == CODE.limit_blocked and plan.options.limits and row[AT.excess] != DECIDED:

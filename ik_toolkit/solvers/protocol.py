@@ -1,9 +1,9 @@
 """The interface of a solver, and the defaults for what a class leaves out.
 
 A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the branches of
-one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or `@closed_form`, which add what the
-class leaves out. The rest of the toolkit never tests a solver's name or class. It uses these methods, or the solver's row in the
-registry (`registry.Row`), which can be read without importing the class.
+one target. Both are NamedTuple classes whose fields are their parameters. The decorators `@rule` and `@closed_form` mark them, and
+add the methods that a class leaves out. The rest of the toolkit never tests a solver's name or class. It uses these methods, or the
+solver's row in the registry (`registry.Row`), which can be read without importing the class.
 """
 
 import inspect
@@ -168,7 +168,7 @@ def rule(cls: Class) -> Class: ...
 @overload
 def rule(*, step: type) -> Callable[[Class], Class]: ...
 def rule(cls: Any = None, *, step: Any = None) -> Any:
-    """Make a NamedTuple class with a `step` a rule (iterative method); use it as a class decorator.
+    """Class decorator that turns a NamedTuple class with a method `step` into a rule (see `protocol.Rule`).
 
     Args:
         cls: The class; its fields are the rule's parameters.
@@ -200,7 +200,7 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
 
 
 def closed_form(cls: Class) -> Class:
-    """Make a NamedTuple class with `recognise` and `every` a closed form; use it as a class decorator.
+    """Class decorator that turns a NamedTuple class with the methods `recognise` and `every` into a closed form (see `ClosedForm`).
 
     Args:
         cls: The class; its fields are the closed form's parameters.

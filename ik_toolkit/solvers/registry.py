@@ -125,7 +125,7 @@ def _own(cls: type) -> Row:
 def solvers_with(parameter: str, known: Iterable[str]) -> str:
     """Return a sentence that names our solvers with this parameter, to end a message with, or ''.
 
-    A parameter that no solver has, and that is like none of the names `known` where it was given, may be another's, misspelled.
+    If no solver has it, and none of the valid names `known` is similar, the most similar parameter of any solver is taken instead.
     """
     fields = sorted({field for row in ROWS for field in row.load()._fields})
     meant = parameter if parameter in fields or nearest(parameter, known) else nearest(parameter, fields)

@@ -216,16 +216,16 @@ class Result(ReadOnly):
     def proven(self) -> bool:
         """Whether a failure is a proof that no joint values within the limits reach the target.
 
-        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`). A
-        target is also proven unreachable by a bound from the link lengths or by a closed form that fits exactly; such a form proves
-        it blocked as well, where no prismatic joint is free.
+        For a success with `closest`, whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`). A
+        target is also proven unreachable by a bound from the link lengths or by a closed form that fits exactly. Such a form also
+        proves that limits block a target, unless a prismatic joint is free.
         """
         row = self._of.row
         return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan))
 
     @property
     def blocked(self) -> Blocked | None:
-        """The solution that breaks its limits least (`decide.Blocked`), where all are certified to break one; or None."""
+        """The solution that breaks its limits least (`decide.Blocked`), if every solution is certified to break one, else None."""
         return blocked(self)
 
     @property

@@ -11,9 +11,9 @@ from ..errors import IKError, UnknownSolver
 class Length(NamedTuple):
     """Default limits on the length of a search.
 
-    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair: precomputed
-    starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given up later from
-    attempt number `patience` on (the attempt from q0 is not counted).
+    `give_up` is (C, rho, C_free, rho_free) or None. With it, an attempt ends in iteration k if |e|^2 > C rho^k, where the first
+    pair is for precomputed starts, the second for q0 and random starts. Attempts from random starts have twice the iterations and
+    are given up later from attempt number `patience` on (the attempt from q0 is not counted).
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt

@@ -271,7 +271,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
 
-    # within one step a joint may cross all that lies beyond its limits: two points mark this
+    # Within one step a joint may cross the whole range beyond its limits; two points are then added in that range.
     rows, outer = [points[0]], 0.5 * (half + np.pi)
     for a, b in pairwise(points):
         passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi)).tolist()

@@ -143,7 +143,7 @@ class SolutionsBatch(ReadOnly):
     """
 
     def __init__(self, each: list[Solutions | None], lists: Sequence[Any]) -> None:
-        """Join the solutions of the targets; those of target k that are None are made by `lists`, all of one size."""
+        """Join the solutions of all targets; where `each` has None, they are in `lists`, for successive blocks of targets."""
         self._each, self._lists = each, lists
         self._size = len(lists[0].notes) if lists and lists[0] else 1
         kept = np.concatenate([made.notes[:, 1] for made in lists if made] or [()]).tolist()

@@ -313,9 +313,9 @@ def solve_all(
 
     'auto' uses a closed form if one fits. Its list is complete unless the robot fits only approximately or self-motions exist:
     `families` says what is free, and the rows are a spread sample. For poses of other arms of six revolute joints it uses the
-    elimination, whose list is complete if it is certified (`certificate`); so it does for five with a free turn, and for three with
-    a position. Otherwise the search runs from random starts, and answers that are equal modulo 2 pi to within 1e-3 are merged;
-    these are never proven complete. A list that may miss some solutions is completed by such a search.
+    elimination, whose list is complete if it is certified (`certificate`); it does the same for five joints with a free turn, and
+    for three with a position. Otherwise the search runs from random starts, and answers that are equal modulo 2 pi to within 1e-3
+    are merged; these are never proven complete. A list that may miss some solutions is completed by such a search.
 
     Args:
         robot: The Robot or Tree.
@@ -326,8 +326,8 @@ def solve_all(
         count: Largest number of solutions.
         all_turns: List each solution with all shifts by 2 pi k inside the limits, not only the one nearest q0. Joints without
             limits keep the value nearest q0.
-        options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the limits forbid
-            too.
+        options: As for `solve`, without closest, objective, follow, timeout and history; limits=False also lists solutions outside
+            the limits.
 
     Returns:
         The solutions, with their errors and how complete they are.
@@ -338,7 +338,8 @@ def solve_all(
     require_robot(robot)
     for name in CHOOSING:
         value = options.get(name)
-        if value is not None and not (isinstance(value, int | float | np.bool_) and not value):  # an array has no truth
+        # an array cannot be tested for truth
+        if value is not None and not (isinstance(value, int | float | np.bool_) and not value):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)
     from .every import find_all

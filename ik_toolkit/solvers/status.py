@@ -40,7 +40,8 @@ class Status(enum.IntEnum):
     CONSTRAINT_OPEN = 12
 
 
-# Special values of the field `excess` in a result row. SEARCHED: q or status of a closed form's row came from the search after it
+# Three special values of the field `excess` in a result row follow. With SEARCHED, q or status of a closed form's row came from the
+# search after it.
 SEARCHED = -1.0
 DECIDED = -2.0  # `excess` of a search's row if the elimination found q, or certified that there is none (see `decide`)
 # `excess` of a search's row if the elimination found q and certified that no solution within the limits is nearer to q0

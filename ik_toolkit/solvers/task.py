@@ -126,7 +126,7 @@ def _counting(counts: Counts, kind: Any) -> np.ndarray:
 def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options) -> np.ndarray:
     """Return the Jacobians (K, 6 F, n) of the errors at solutions Q (K, n), lengths over the scale, in the axes of option `frame`.
 
-    T (4, 4) or (F, 4, 4) are the targets. Rows are 0 where nothing counts or slack is left.
+    T (4, 4) or (F, 4, 4) are the targets. Rows are 0 for errors that do not count or are inside their slack.
     """
     poses, J = robot.chain.forward(Q, jacobian=True)
     J = J.reshape(len(Q), len(kinds), 2, 3, -1)

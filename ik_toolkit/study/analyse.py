@@ -99,8 +99,8 @@ class LoopAnalysis:
         position_only: Whether targets are positions.
         q: (N, n) configurations [rad or m].
         spectral_radius: (N,) factor by which the slowest part of an error changes in each step, near a solution.
-        loop_gain: (N, r) complex eigenvalues, one for each independent error that joints can change, of J S (1 - a) for A = a I,
-            which is J C B + (1 - a) J D; of J S for any other A.
+        loop_gain: (N, r) complex eigenvalues, one for each independent error that joints can change. For A = a I they are those of
+            J S (1 - a), which is J C B + (1 - a) J D, for any other A those of J S.
         gain_bound: Without D and with A = a I, a real loop gain must be between 0 and this, 1 - a (Jury's test); else None.
     """
 
@@ -127,8 +127,8 @@ class LoopAnalysis:
         """Return whether the solver is expected to reach each target, from its static gains S and the joint limits alone.
 
         The memoryless iteration q += S e is run, clamped to the limits. This predicts the outcome of a run, not whether some
-        configuration q0 + S w (w: any vector) solves the target: a joint that meets a limit on the way may divert it. Where
-        solver and prediction differ, the dynamics of the solver's state made joints overshoot into a limit.
+        configuration q0 + S w, with any vector w, solves the target, because a joint that meets a limit on the way may divert the
+        run. Where solver and prediction differ, the dynamics of the solver's state made joints overshoot into a limit.
 
         Args:
             targets: As for `solve_batch`, N of them.
@@ -243,8 +243,8 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
         q: (N, n) configurations, or one (n,) [rad or m].
 
     Returns:
-        (N,) largest K_p for which some joint lowers a small error whatever its direction, of those in which the arm can move at
-        all; 0 where the joints do not span these.
+        (N,) largest K_p for which any small error, in the directions in which the arm can move at all, is lowered by some joint; 0
+        where the joints at q do not span these directions.
 
     Raises:
         InvalidConfiguration: q does not fit the robot.

@@ -235,7 +235,7 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # If no solver applies, an option is probably wrong, as this error says.
+    # If no solver applies, an option is probably wrong, as the last error says.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))

@@ -171,7 +171,8 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
 def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:
     """Fix the unknowns that the data do not determine, and fit again.
 
-    Returns the fixed unknowns, and the number of identifiable ones: here, at the nominal arm, and with poses all over its range.
+    Returns the fixed unknowns, and how many are identifiable with these data, at the nominal arm, and with poses all over its
+    range.
     """
     names = [one.name for one in fit.arm.unknowns]
     _, N = fit.untold(fit.x, fit.z, fit.kept)

@@ -2,7 +2,7 @@
 
 Every unknown has a weak normal prior with mean 0 (the nominal value, "as drawn") and the standard deviation that `DrawnArm.scales`
 gives. Combinations of unknowns that the data do not determine ("untold") are found from the singular values of the Jacobian, in
-units of prior and noise (Hollerbach, Wampler 1996): a direction is untold if a move along it by one standard deviation of the prior
+units of prior and noise (Hollerbach, Wampler 1996). A direction is untold if a move along it by one standard deviation of the prior
 changes all residuals together by less than UNTOLD standard deviations of the noise. Such combinations keep their nominal value.
 """
 
@@ -21,8 +21,8 @@ UNTOLD = 0.5  # singular value below which a direction counts as not determined;
 LEAST = 1e-6  # [m, rad] lower bound on the estimated noise, below that of any instrument
 OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
 LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
-# median squared error, in units of LOOSE, below which no reversed joint is searched for; value above which all sign combinations
-# are tried; largest number of joints for this
+# Limits of the search for reversed joints: median squared errors, in units of LOOSE, below which there is no search and above which
+# all combinations of signs are tried, and the largest number of joints for which these are tried.
 SIGNS = (0.01, 4.0, 7)
 
 
@@ -199,7 +199,7 @@ class ArmFit:
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
         """Fix one unknown at 0 for each direction of a basis N (P, k); return for each the unknowns it cannot be separated from.
 
-        Where an error of a link's frame can be fixed instead, offsets of joints, tool and base stay free.
+        Errors of link frames are fixed first, so that offsets of joints, tool and base stay free if possible.
         """
         groups = [one.group for one in self.arm.unknowns]
         order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]

@@ -21,8 +21,8 @@ WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
 PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
-# Measured positions that spread over more arm reaches than this, or of which 100 times the spread is less than the drawn arm's, are
-# not in metres.
+# Measured positions are not in metres if they spread over more arm reaches than this, or if 100 times their spread is less than
+# that of the drawn arm's positions.
 FAR = 10.0
 
 

@@ -11,7 +11,7 @@ r = (1 - sqrt(1 - 2h)) / omega of q0 and converge to a solution there, and no ot
 R = (1 + sqrt(1 - 2h)) / omega.
 
 **The norm** is |y|, where y_i is q_i (angles in rad, slides over the robot's scale), plus y of the joint before if their axes are
-parallel. So y is the direction of a link, not its angle to the last one; for a planar 2R arm that makes L 1 instead of 2.6.
+parallel. So y is the direction of a link, not its angle to the link before; for a planar 2R arm that makes L 1 instead of 2.6.
 
 **The bounds.** The link after joint k, of length l_k, is turned by the last joint of each run of parallel axes up to k, which the
 vector a_k marks. So the matrix sum of l_k a_k a_k' bounds the second derivatives of x, with 1 for each slide and each run that

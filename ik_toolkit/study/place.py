@@ -1,9 +1,9 @@
 """Search for base poses from which a robot reaches as many of given poses as possible.
 
-First an inverse reachability map proposes bases (Vahrenkamp, Asfour, Dillmann 2013): sampled tip poses are sorted by what a motion
-of the base on the floor does not change (height of the tip, direction of the vertical in its frame), and each pose votes for the
-bases from which it is reached. Bases spread over the floor are added, the best are refined, and the poses that the last candidates
-reach are counted.
+First an inverse reachability map proposes bases (Vahrenkamp, Asfour, Dillmann 2013). Sampled tip poses are sorted by what a motion
+of the base on the floor does not change (height of the tip, direction of the vertical in its frame), and each of the given poses
+votes for the bases from which it is reached. Bases spread over the floor are added, the best are refined, and the poses that the
+last candidates reach are counted.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -97,8 +97,8 @@ class Placements(Sequence[Placement]):
         poses: The poses (N, 4, 4), or positions (N, 3), asked for; for a Tree a dict of these by tip.
         found: The placements.
         candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
-        shares: Share of the poses that is reached from each (M,), estimated from some of the poses; without the obstacles, where
-            even that share is too small to be among the best.
+        shares: Share of the poses that is reached from each (M,), estimated from some of the poses. If even the share without the
+            obstacles is too small to be among the best, it is that share.
         obstacles: Corners (K, 8, 3) [m] of boxes around the obstacles.
     """
 

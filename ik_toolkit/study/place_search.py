@@ -27,7 +27,8 @@ class SearchSizes(NamedTuple):
     keep: int = 10  # number of bases that are refined
     around: int = 20  # number of new bases around each base that is refined
     last: int = 740  # number of candidates that are examined on all poses
-    final: int = 8  # number of rounds of refinement of the best three bases, within these candidates
+    # number of rounds in which the best three bases are refined; their new bases are among the `last` candidates
+    final: int = 8
     attempts: int = 4  # number of solver attempts per pose while candidates are examined
     sure: int = 50  # number of solver attempts per pose for the placements that are returned
     followed: int = 3  # number of placements for which a path through ordered poses is computed
@@ -60,7 +61,7 @@ def put_together(counted: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarr
 
 
 class Candidates:
-    """The candidates so far, and the steps that find better ones."""
+    """Candidate base poses found so far, and the steps of the search for better ones."""
 
     def __init__(
         self,
@@ -86,7 +87,7 @@ class Candidates:
         """Examine bases; `best` then returns the best of them."""
         S, N = SEARCH, sum(map(len, self.W.values()))
         few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
-        # widths of the first round of refinement: that of the region, but at most a share of the arm's reach
+        # widths within which the first round of refinement draws new bases: those of the region, but at most a share of the reach
         width = np.minimum(
             self.high - self.low, np.array([0.15, 0.15, 0.3 / self.robot.reach, 0.15]) * self.robot.reach
         )
@@ -143,8 +144,9 @@ class Candidates:
     def count(self, bases: np.ndarray, W: dict[str, np.ndarray], keep: int, than: Any = ()) -> np.ndarray:
         """Return the share of poses W that is reached from each base (M,).
 
-        With obstacles, bases are first examined without them. A base whose share is then too small for the `keep` best of these
-        bases and of others with the shares `than` keeps this share and is not examined again, because obstacles can only lower it.
+        With obstacles, each base is first examined without them, because obstacles can only lower its share. If that share already
+        rules it out of the best `keep` bases (of those examined so far, and of others whose shares are `than`), it is returned, and
+        the base is not examined with obstacles.
         """
         share, best = np.zeros(len(bases)), np.sort(than)[-keep:]
         once = max(1, 2**13 // sum(map(len, W.values())))
@@ -174,7 +176,7 @@ class Candidates:
     def reach_beside(
         self, bases: np.ndarray, W: dict[str, np.ndarray], reached: np.ndarray, q: np.ndarray
     ) -> np.ndarray:
-        """Return which poses are reached free of contact (m, N), of those `reached` (m, N) in contact or not, at q (m, N, n).
+        """Return which poses (m, N) are reached free of contact; `reached` (m, N): those reached at q (m, N, n) at all.
 
         Where q is in contact, the pose is solved again from a few random starts.
         """
@@ -194,7 +196,7 @@ class Candidates:
         return free
 
     def untouched(self, bases: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Return which configurations q (k, n) of the robot at bases (k, 4), equal ones in a row, are free of contact (k,)."""
+        """Return which configurations q (k, n) of the robot at bases (k, 4), equal ones side by side, are free of contact."""
         free, at = np.zeros(len(q), bool), None
         for k, base in enumerate(bases):
             if at is None or (base != at).any():

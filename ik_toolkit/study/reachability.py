@@ -71,8 +71,9 @@ def reachability(
 ) -> ReachabilityMap:
     """Compute, for every cell of a region, whether the tip reaches it inside the limits.
 
-    A yes comes with a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
-    found a configuration. The audit tries a sample of these unproven answers again, and estimates how often they are wrong.
+    A yes comes with a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or it is
+    unproven because no attempt found a configuration. The audit tries a sample of the unproven answers again, and estimates how
+    often they are wrong.
 
     Args:
         robot: The Robot.
@@ -211,7 +212,7 @@ class _Study:
                 self.flood(tried)
 
     def open_beside_yes(self) -> np.ndarray:
-        """Return the answers that few attempts left open and that touch, even at a corner, a reached one of equal orientation."""
+        """Return the answers left open by few attempts whose cells touch, even at a corner, a reached cell of equal orientation."""
         near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
         for axis in range(3):
             one = np.moveaxis(near, axis, 0)

@@ -145,7 +145,7 @@ def grid_of(
     low = 0.5 * (low + high) - 0.5 * size * counts  # the block of cells is centred in the region
     rotations, free = _rotations(orientations)
     if rotations is not None and free and axis is not None:
-        # with this factor the chosen tip axis points where the tip's z axis would
+        # with this factor the tip axis `axis` points where the tip's z axis would
         rotations = rotations @ _frame(np.array([axis]))[0].T
     shape = tuple(int(k) for k in counts)
     return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))

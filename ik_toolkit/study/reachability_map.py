@@ -69,8 +69,8 @@ class ReachabilityMap:
     """What a robot reaches, cell by cell; made by `ik.reachability`.
 
     An answer is about the pose at the centre of its cell: yes means that a configuration inside the limits was computed and
-    checked. No is proven (by a bound, a closed form or a certificate), or no attempt found one; `audit` says how often that
-    is wrong.
+    checked. No is proven (by a bound, a closed form or a certificate), or means that no attempt found one; `audit` says how often
+    that is wrong.
 
     Attributes:
         robot, tip, base: Names of the robot and of its frames.
@@ -78,8 +78,8 @@ class ReachabilityMap:
         grid: The cells.
         states: Answers (cells, K) for K orientations: 1 reached, 2 proven out of reach, 3 and 4 nothing found by few and by all
             attempts, 0 not tried.
-        manipulability: Largest of the reached answers of each cell (cells,), 0 where none is reached: the product of the singular
-            values of the Jacobian (of its linear rows if orientation is free), without those that are always 0.
+        manipulability: Largest of the reached answers of each cell (cells,), 0 where none is reached. It is the product of the
+            singular values of the Jacobian (of its linear rows if orientation is free), without those that are always 0.
         margin: Largest of the reached answers (cells,): distance of q to its nearest limit over half the range, 0 to 1.
         q: The configuration (cells, n) [rad or m] of the largest manipulability, NaN where nothing is reached.
         audit: How many of the answers that were neither found nor proven are wrong.

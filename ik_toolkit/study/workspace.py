@@ -166,9 +166,9 @@ def workspace(
         position_only: Solve positions instead of poses.
         seed: Seed of the targets.
         q0: (n,) start [rad or m]. Default: each solver's own.
-        file: A .csv file that receives every target as it is solved, so that millions need no more memory than a chunk: x, y, z,
-            then success, status, iterations, position_error, orientation_error of each solver. If the run ends early, the file
-            is named NAME.partial.
+        file: A .csv file that receives every target as it is solved, so that millions need no more memory than a chunk. Its columns
+            are x, y, z, then success, status, iterations, position_error, orientation_error of each solver. If the run ends early,
+            the file is named NAME.partial.
         executor: Pool of processes (concurrent.futures) for the solves, as for `solve_batch`.
         progress: Called as progress(done) after each chunk of targets.
         **options: As for `solve`.

@@ -94,9 +94,9 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
 def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
     """Return a robot whose URDF has corrections written into it.
 
-    joints: transforms C (4, 4) [m] by joint, by which its <origin> is multiplied from the right; against: joints whose <axis> is
-    reversed; tool: transform (4, 4) of the tip, applied in the same way to the fixed joint of the tip's link. If there is no such
-    joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
+    joints maps a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis> of the joints
+    in `against` is reversed. tool is a transform (4, 4) of the tip, applied in the same way to the fixed joint of the tip's link.
+    If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
     """
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -184,9 +184,9 @@ def _plain(
 
 
 def _outside(files: Iterable[str], folders: Sequence[Path], home: Path) -> tuple[str, ...]:
-    """Return the folders that have to be given for meshes to be read by a URDF in `home`, one for each of `folders` that has any.
+    """Return the folders that a user must name so that a URDF saved in `home` finds its meshes.
 
-    Each is the smallest folder with all meshes of one of `folders`, in which they were found.
+    For each of `folders` with meshes that it would not find otherwise, this is the smallest folder that contains all of these.
     """
     allowed = mesh_folders(home / "robot.urdf", ())
     groups: dict[Path, list[Path]] = {}

@@ -26,8 +26,8 @@ class Tie(NamedTuple):
 class Followers(NamedTuple):
     """The mimic joints of a robot, and the order in which Pinocchio can read them.
 
-    `tied` maps a follower to its relation, `loose` a mimic joint that cannot follow, and stays fixed, to the reason. `order`
-    lists the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
+    `tied` maps each follower to its relation. `loose` maps each mimic joint that cannot follow, and so stays fixed, to the reason.
+    `order` lists the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
     If another joint leads than in the file, `rest` maps it to the value [rad or m] at which the file's leader is at 0.
     """
 
@@ -48,7 +48,8 @@ def followers(text: str) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        # No order has every leader first, so leaders change: only in these groups if that is enough, otherwise in all.
+        # In every order some followers precede their leader, so another joint of the group becomes its leader: first only in the
+        # groups of those followers, then, if that is not enough, in all groups.
         if late:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
@@ -87,7 +88,7 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
 
 
 def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
-    """Tie each follower to an independent joint; the second result says of every other follower why it cannot be tied.
+    """Tie each follower to an independent joint; the second result maps each follower that cannot be tied to the reason.
 
     A follower of a follower is tied to the leader of both.
     """
@@ -102,7 +103,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                # Only the joints of the loop mimic themselves; the walk before it ends at its first joint.
+                # Only the joints of the loop mimic themselves; joints on the way to it follow its first joint.
                 loop = walk[walk.index(leader) :]
                 del walk[walk.index(leader) + 1 :]
                 loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}

@@ -85,7 +85,7 @@ def _matrix(pos: Sequence[float], quat: Sequence[float]) -> np.ndarray:
 def _origin(given: tuple[str, str] | None, scale: Sequence[float]) -> np.ndarray | None:
     """Return the pose (4x4) [m] of a scaled mesh that MuJoCo moves by -refpos and turns back by refquat before it scales it.
 
-    None: it is stretched as well as turned, which a URDF cannot express, or the texts are no numbers.
+    Return None if the mesh is stretched as well as turned, which a URDF cannot express, or if the texts are not numbers.
     """
     T = np.eye(4)
     if given is not None:
@@ -183,7 +183,10 @@ class _Writer:
     def _body(
         self, body: dict[str, Any], link: str, parent: str, joints: Sequence[tuple[int, str]], ties: Ties
     ) -> None:
-        """Write the joints between a body and its parent, with empty links between several joints or at one off its origin."""
+        """Write the joints between a body and its parent.
+
+        Empty links are added between several joints, and below the last one if it is not at the body's origin.
+        """
         T = _matrix(body["pos"], body["quat"])
         if not joints:
             self._fix(f"{link}_fixed", parent, link, T)

@@ -158,7 +158,7 @@ class _Reader:
         return End(self.bodies[int(site["body"])], tuple(site["pos"]), tuple(turn))
 
     def _tendon(self, tendon: dict[str, Any]) -> LinearLength:
-        """Return the length of a tendon: linear in joint values, or along sites; its length around shapes is not known."""
+        """Return the length of a tendon, which is linear in joint values or runs along sites; around shapes it is not computed."""
         if all(kind == JOINT for kind, _, _ in tendon["parts"]):
             sums: dict[str, float] = defaultdict(float)
             for _, j, c in tendon["parts"]:

@@ -22,8 +22,8 @@ TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 class Flat:
     """MJCF text with all references to files removed.
 
-    meshes: by name of a mesh the path of its file, with the compiler's mesh folder in front, relative to the model's folder unless
-    absolute. origins: by name of a mesh its refpos and refquat, where it has them. notes: what was left out.
+    meshes maps the name of each mesh to the path of its file, with the compiler's mesh folder in front, relative to the model's
+    folder unless absolute. origins maps the name of a mesh to its refpos and refquat, if it has them. notes: what was left out.
     """
 
     xml: str

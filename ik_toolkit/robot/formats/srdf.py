@@ -55,9 +55,9 @@ class Srdf:
     def state(self, name: str, joints: Sequence[str], tips: Sequence[str], model: pin.Model) -> dict[str, float]:
         """Return the values [rad or m] that a configuration gives to those joints that are in the q of a robot with these tips.
 
-        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are considered in
-        this order: those that end in the robot's tips, those that set more joints of q, those first in the file. A
-        group that sets a joint of an earlier one is left out, so that values of contradicting groups are not mixed.
+        Several groups may define a configuration of this name. If the user chose a group, only that group's values count. Otherwise
+        groups are considered in this order: those that end in the robot's tips, those that set more joints of q, those first in the
+        file. A group that sets a joint of an earlier one is left out, so that values of contradicting groups are not mixed.
         """
         given = {
             group: {joint: x[0] for joint, x in values.items() if len(x) == 1}
@@ -144,7 +144,11 @@ class Srdf:
         return found
 
     def against(self, model: pin.Model) -> tuple[str, ...]:
-        """Return all remarks, including those on names that this model lacks and on joints with several values."""
+        """Return all remarks on this SRDF: those made when it was read, and those on what does not fit the model.
+
+        The latter are on names that the model lacks, and on joints to which a configuration gives several values or a value outside
+        the limits.
+        """
         out, links = list(self.remarks), {frame.name for frame in model.frames}
         strange = {link for pair in self.disabled for link in pair if link not in links}
         if strange:
@@ -208,7 +212,7 @@ def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: s
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
     """Return the Srdf that is given or found next to the file, without the description's configurations.
 
-    Unusable parts of a given one are logged; a malformed one next to the file is logged and ignored.
+    Unusable parts of a given SRDF are logged; a malformed SRDF next to the file is logged and ignored.
     """
     if given is None or given is True:
         beside = srdf_beside(path, model.name) if path is not None else None

@@ -120,9 +120,9 @@ def is_text(source: object) -> bool:
 def safe_read(source: str | Path) -> str:
     """Return URDF text from a file or a string, after a parse that expands and fetches nothing.
 
-    Raises ModelError, one sentence, if the text is missing, empty, over 20 MB, not UTF-8, malformed (with the line),
-    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of
-    freedom, too long a name or tag, or no root <robot>.
+    Raises ModelError, one sentence, if the text is missing, empty, over 20 MB, not UTF-8, malformed (with the line) or xacro, or if
+    it has a DOCTYPE or entities, is nested too deep, or has too many elements, over 1,000 joints or 128 degrees of freedom, too
+    long a name or tag, or no root <robot>.
     """
     text = source_text(source, "URDF")
     parse(text)

@@ -55,7 +55,7 @@ def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
     """Return the warnings, a sentence each, that loading a URDF reports.
 
     Raises ModelError, which names the first invalid element of the kinematics, if there is one (`check_urdf` lists
-    all). `lines` tells whether lines of the text are lines of the file.
+    all). `lines` tells whether line numbers of the text are those of the file, and so may be named.
     """
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]

@@ -39,13 +39,13 @@ def expand(
     arguments: Mapping[str, object] | None = None,
     holds: str = "link",
 ) -> str:
-    """Expand a xacro file to URDF text (`holds` 'link'), or to SRDF text (`holds` 'group': an element it must have).
+    """Expand a xacro file to the text of a URDF or an SRDF.
 
-    `arguments` maps the names of its <xacro:arg> and of $(env NAME) to values. Files are read from the file's own
-    folder, its package, package_dirs and the packages it finds; nothing in them is evaluated as Python, and no
-    environment variable is read. An argument that a URDF does not use is logged, because it may be misspelled. Raises
-    MissingExtra if xacro is not installed, InvalidOption for wrong arguments, ModelError, one sentence that names the
-    file, if it cannot be expanded.
+    `holds` is the element that the result must have, 'link' for a URDF or 'group' for an SRDF. `arguments` maps the names of its
+    <xacro:arg> and of $(env NAME) to values. Files are read from the file's own folder, its package, package_dirs and the packages
+    it finds; nothing in them is evaluated as Python, and no environment variable is read. An argument that a URDF does not use is
+    logged, because it may be misspelled. Raises MissingExtra if xacro is not installed, InvalidOption for wrong arguments,
+    ModelError, one sentence that names the file, if it cannot be expanded.
     """
     if importlib.util.find_spec("xacro") is None:
         raise MissingExtra("xacrodoc", "formats")

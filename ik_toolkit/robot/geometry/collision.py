@@ -29,9 +29,9 @@ STILL = 1e-9
 class CollisionModel(Surroundings):
     """Tests a robot for collisions of its links and tools, shapes around it, and shapes that it holds.
 
-    Never tested are links joined by one joint, links that cannot move relative to each other, pairs that the robot's
-    SRDF allows to touch, and pairs that touch both at home and at zero (if zero is within the limits), which are listed
-    in `excluded`. Shapes may be added, moved and removed between calls; code that uses the model respects them from its next
+    Links joined by one joint, links that cannot move relative to each other, and pairs that the robot's SRDF allows to touch are
+    never tested. Neither are pairs that touch both at home and at zero (if zero is within the limits), which are listed in
+    `excluded`. Shapes may be added, moved and removed between calls; code that uses the model respects them from its next
     call on, and a tracker from its next step.
 
     Args:

@@ -27,8 +27,8 @@ from ..probe import mimics
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of two shapes may jump, for example from one end of an edge to the other, so earlier ones are kept:
-# at most CORNERS points per pair, while their distance is less than NEARBY [m] above the least one. Points within APART [m]
+# The nearest points of two shapes may jump, for example from one end of an edge to the other, so earlier ones are kept, at most
+# CORNERS for a pair, while their distance is less than NEARBY [m] above the least one. Points within APART [m]
 # of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
@@ -75,8 +75,8 @@ def _thick(points: np.ndarray) -> bool:
 class Clearance:
     """Measures the distances of all tested pairs of a CollisionModel; it belongs to one thread.
 
-    For each of the P pairs, `a` and `b` are its shapes, `own` says whether both are the robot's, `exact` whether their
-    hulls meet at home, so that their exact shapes are always measured, and `home` is the distance at home [m].
+    For each of the P pairs, `a` and `b` are its shapes, `own` says whether both are the robot's, and `home` is the distance at home
+    [m]. `exact` says whether their hulls meet at home, so that their exact shapes are always measured.
     `coordinates` (E,) is the index in q of each moving joint.
     """
 

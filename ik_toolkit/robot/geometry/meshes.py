@@ -1,8 +1,8 @@
 """Finds mesh files and reads their triangles in a subprocess with limits, because mesh readers crash on broken files.
 
-One rule holds for `ik check`, pictures, panel and collisions: a mesh is read only from the URDF's folder, the ROS
-package the URDF is in (the nearest folder above with a package.xml), `package_dirs` and the packages it names. Symbolic
-links that lead outside are rejected; the same holds for files a mesh refers to.
+The same rule holds for `ik check`, pictures, panel and collisions. A mesh is read only from the URDF's folder, the ROS package the
+URDF is in (the nearest folder above with a package.xml), `package_dirs` and the packages that mesh names refer to. Symbolic links
+that lead outside are rejected. Files that a mesh refers to are treated likewise.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Finds pairs of links that need no collision test by sampling, as MoveIt's Setup Assistant does, and writes them as an SRDF.
 
-For every pair of links with collision shapes it asks whether they are joined by a joint, and whether they touch in
-(almost) every configuration, by construction, or in none. All joints of the model move, not only those on the path to a
+For every pair of links with collision shapes it finds out whether they are joined by a joint, and whether they touch in (almost)
+every configuration, by construction, or in none. All joints of the model move, not only those on the path to a
 tip.
 """
 

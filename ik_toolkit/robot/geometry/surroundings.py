@@ -52,7 +52,7 @@ class Surroundings(ReadOnly):
         """Return an added shape as a Pinocchio geometry object."""
         arm = self.robot.arms[one.arm or 0]
         held = one.arm is not None
-        # An obstacle is placed in the base, which itself may move in the model.
+        # An obstacle is attached to the base frame, which may itself move in the model.
         at = arm._ids[1] if held else arm._ids[0]
         frame = self.robot.model.frames[at]
         place = frame.placement * (arm.tool if held else pin.SE3.Identity()) * pin.SE3(one.T)
@@ -82,7 +82,7 @@ class Surroundings(ReadOnly):
         return self.add(Shape.sphere(radius), position, name)
 
     def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> Self:
-        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame, centred there."""
+        """Add a cylinder [m] centred at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame, along the pose's z axis."""
         return self.add(Shape.cylinder(radius, length), pose, name)
 
     def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:

@@ -19,8 +19,8 @@ REST = 25
 class Followed(NamedTuple):
     """State of an arm that follows a dragged target.
 
-    q (n,); whether the target is reached, and whether the joints are at rest; by tip the position error [m] and rotation error
-    [rad] that are left; and a status message for the user.
+    It has q (n,), whether the target is reached, whether the joints are at rest, the position error [m] and rotation error [rad]
+    left at each tip, and a status message for the user.
     """
 
     q: np.ndarray

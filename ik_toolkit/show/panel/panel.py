@@ -68,9 +68,9 @@ class Panel(Unique):
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
-        session = Session(source, tips)  # an invalid robot raises now
+        session = Session(source, tips)  # an invalid robot raises its error here
         here = session.robot.for_tips(session.poses())
-        session.solve(here)  # compile now if necessary, so that no visitor has to wait
+        session.solve(here)  # compiles if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()
         with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's banner

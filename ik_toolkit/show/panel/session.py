@@ -128,7 +128,7 @@ class Session:
     ) -> np.ndarray:
         """Return q (n,) from typed values, which are q times the scale of each joint.
 
-        What is as it was shown, rounded, keeps its digits. Raises InvalidConfiguration.
+        A number that is still the rounded one that was shown keeps its full precision. Raises InvalidConfiguration.
         """
         values = np.array(fields, dtype=float) / [scale(i) for i in range(self.robot.n)]
         q = np.where(np.array(fields) != shown, values, self.q)
@@ -226,7 +226,7 @@ class Session:
 
     def _approach(self) -> None:
         """Continue from a failed attempt to the closest pose near it."""
-        # A target that is too far away and an arm already in contact raise.
+        # This raises an error if the target is too far away or the arm is already in contact.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
             # The arm keeps its posture, because the solver has found no other one that reaches the target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)

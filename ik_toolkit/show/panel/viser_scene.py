@@ -205,7 +205,10 @@ class Stage:
                 handle.visible = bool(alone)
 
     def box(self, name: str, size: Any, T: np.ndarray, color: tuple[int, int, int]) -> Any:
-        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4), in the picture; return its arrows and rings, to drag."""
+        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4), and move the camera if it would be out of view.
+
+        Return the arrows and rings with which the user drags the box.
+        """
         scene, path = self.client.scene, self.path(f"box/{name}")
         gizmo = scene.add_transform_controls(path, scale=1.2 * max(size), disable_sliders=True)
         scene.add_box(f"{path}/shape", dimensions=tuple(size), color=color, opacity=0.85)

@@ -29,8 +29,9 @@ class BatchCheckFailed(IKError):
     """Pinocchio does not confirm an answer of a batch: the solver is wrong for this robot, so no row is a success.
 
     Attributes:
-        result: BatchResult whose rows all have the status CHECK_FAILED. From `solve_batch` it has every row, with NaN
-            where the batch ended before; from `solve_parts` it is the part that failed.
+        result: BatchResult whose rows all have the status CHECK_FAILED. From `solve_batch` it has a row for every target (if their
+            number is unknown, up to the end of the part that failed), with NaN in all rows after that of `target`, even if they had
+            been solved. From `solve_parts` it is the part that failed.
         target: Number of the first target whose answer is not confirmed.
         before: Number of results already returned, which cannot be trusted either.
     """
@@ -80,8 +81,8 @@ class BatchResult(ReadOnly):
         q: Solutions (N, n) [rad or m].
         status, success: Numbers of Status (N,), and whether they are CONVERGED (N,). `ik.Status(4).name` is the name of 4, and
             `batch.counts()` counts them by name.
-        proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that no
-            solution is nearer; see `Result.proven`).
+        proven: Whether (N,) it is proven that no joint values within the limits reach the target (or, for a success with `closest`,
+            that no solution is nearer; see `Result.proven`).
         position_error: Distance (N,) [m] from the target; for several tips the largest.
         orientation_error: Rotation angle (N,) [rad] left; for several tips the largest. None if orientation is free.
         position_errors, orientation_errors: The errors of each tip, by its name.

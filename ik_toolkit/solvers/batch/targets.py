@@ -13,7 +13,8 @@ from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): KIND.pose, (3,): KIND.position}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-ROUGH = 1e-12  # A rotation whose axes are off orthonormal by this to `RIGID.axes` is replaced by the nearest exact one.
+# A rotation whose axes deviate from orthonormal by this much, up to `RIGID.axes`, is replaced by the nearest exact one.
+ROUGH = 1e-12
 
 
 class Block(NamedTuple):
@@ -51,7 +52,7 @@ class Block(NamedTuple):
 
 
 def _straighten(T: np.ndarray) -> None:
-    """Replace rotations in T (m, 4, 4) that are orthonormal only to ROUGH ... RIGID.axes by the nearest exact ones, in place."""
+    """Make rotations in T (m, 4, 4) exact, in place, that deviate from orthonormal by at least ROUGH and at most RIGID.axes."""
     x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
     off = np.zeros(len(T))
     with np.errstate(invalid="ignore", over="ignore"):
@@ -139,7 +140,7 @@ def known(targets: Any, base: str = "") -> Any:
         raise InvalidTarget(f"targets must be many, and this is one ROS message; give a list of them, {STACKED}")
     if isinstance(targets, Mapping):
         if not is_by_name(targets):
-            as_array(targets)  # raises InvalidTarget, which says how a pose is a dict
+            as_array(targets)  # raises InvalidTarget, which says which fields a dict must have to be a pose
         return {
             tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None
         }

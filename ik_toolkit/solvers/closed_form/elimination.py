@@ -23,15 +23,15 @@ from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 from .polish import list_with
 
-# Least distance of the axes from a common point, as a share of the reach; smaller, rounding of a pose would be magnified too much.
+# Least distance of the axes from a common point, as a share of the reach; below it the rounding of a pose is magnified too much.
 LEAST_SIZE = 1e-4
 
 
 class Certificate(NamedTuple):
     """How complete a list of solutions is, judged by a polynomial whose roots include all of them, or by a decomposition.
 
-    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic. So
-    is that of a decomposition, whose errors are estimated.
+    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and not a proof by interval
+    arithmetic. The same holds for a decomposition, whose errors are estimated.
     """
 
     status: str  # 'CERTAIN', 'DOUBLE' (solutions merge at a singular pose), 'FAMILY' (there is a continuum) or 'UNSURE'
@@ -139,7 +139,7 @@ def into_limits(Q, box, out, excess):
 
 @cached
 def list_certain(rows, ends, opt, T, found, box, most, table, notes):
-    """List the solutions within the limits of those of N targets whose list is certain, as `polish.list_with` does.
+    """List the solutions within the limits, as `polish.list_with` does, for those of N targets whose list is certified.
 
     Args:
         rows: geometry of the chain, as for `polish.list_branches`.
@@ -150,8 +150,9 @@ def list_certain(rows, ends, opt, T, found, box, most, table, notes):
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
         most: largest number of rows of a target.
         table: (at least the sum of all solutions, 9) receives the rows of `list_with`, one target after another.
-        notes: (N, 2 + `terms.Notes`) receives where the rows of each target begin, their number, or -1 if its list is not certain,
-            a row misses the tolerances, or there are more than `most`, and then the first row of the target's answer.
+        notes: (N, 2 + `terms.Notes`) receives for each target the index of its first row, the number of its rows, and the first row
+            of its answer. The number is -1 if the list is not certified, a row misses the tolerances, or there are more than
+            `most`.
     """
     at, n = 0, box.shape[1]
     p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))

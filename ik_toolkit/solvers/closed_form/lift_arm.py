@@ -34,8 +34,8 @@ WINDOWS = 33
 # The golden section takes 64 steps, after which the interval is as small as rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 TURNS = 8  # largest |k| in shifts by 2 pi k; joints with wider limits count as endless
-# Axes 1 and 4 count as parallel if the component of the wrist's z axis along axis 1, and the position error of `level_arm` over the
-# arm's length a4 + a6, are below this.
+# Axes 1 and 4 count as parallel if two numbers are below this: the component of the wrist's z axis along axis 1, and the position
+# error of `level_arm` over the arm's length a4 + a6.
 LEVEL = 1e-9
 
 
@@ -83,10 +83,10 @@ def near_angles(p, box, near):
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch inside the limits nearest the reference, or that exceeds them least; lift (prismatic): d.
+    """Fill best (n,) with the branch at lift d that is nearest the reference inside the limits, or else exceeds them least.
 
-    The point of the wrist pose P is first moved to the nearest reachable one. Returns the excess over limits and the distance. near
-    (6,): values for angles that are free; moved, sols and q are scratch.
+    d is the value of the prismatic joint. The point of the wrist pose P is first moved to the nearest reachable one. Returns the
+    excess over limits and the distance. near (6,): values for angles that are free; moved, sols and q are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])

@@ -40,7 +40,7 @@ from .reach import (
     shoulder_in_tool,
 )
 
-SPREAD_LIFTS = 9  # number of values of the prismatic joint listed in each feasible interval
+SPREAD_LIFTS = 9  # number of values of the prismatic joint, in each feasible interval, at which branches are listed
 STEPS = 8  # number of Newton steps that correct a branch of an arm that fits only approximately
 LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # why an angle is free: axes 1 and 4 parallel, shoulder on axis 6 or 7
 

@@ -66,8 +66,9 @@ def at_lifts(robot: Any, T: Any, lifts: Any) -> tuple[np.ndarray, np.ndarray]:
 def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
     """Return the intervals of the lift in which each pose is solved inside all limits, for each of the eight branches.
 
-    The ends are exact to rounding. Left out are single lifts where two limits meet, and those where axes 1 and 4 are parallel, so
-    that joint 1 is free: a branch jumps there, and has a window on either side, up to a millionth of the interval of reach.
+    The ends are exact to rounding. A single lift at which two limits meet is left out. So is one at which axes 1 and 4 are parallel
+    and joint 1 is therefore free: a branch jumps there, and has a window on either side, up to a millionth of the interval of
+    reach.
 
     Args:
         robot: An arm that 'inspection' solves.

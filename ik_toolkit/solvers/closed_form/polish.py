@@ -14,7 +14,8 @@ from ...kernel.serial import make_serial
 
 DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
 SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
-# [rad] A solution that exceeds a limit by less may be one on the limit: where two merge, their distance is a root of the rounding.
+# [rad] A solution that exceeds a limit by less may lie on the limit, because merging solutions are known only to the root of
+# rounding.
 BORDER = 1e-4
 DISTINCT = 1e-3  # [rad] a solution moved onto a limit is left out if another solution in the list is nearer than this
 

@@ -1,8 +1,8 @@
 """Mathematics of two structures in closed form: all branches, reach, and the nearest reachable point.
 
-Lengths are in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2 throughout;
-inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2 atan2(py, px) has no basis,
-and the lift (prismatic joint) is the arm's one free parameter.
+Lengths are in metres, angles in radians. Sources: for the planar 2R Chinyai, eqs. (1)-(5), with the signs corrected and atan2
+throughout; for the inspection arm Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed. Their theta_1 = 2 atan2(py,
+px) has no basis, and the lift (prismatic joint) is the arm's one free parameter.
 """
 
 import math
@@ -128,7 +128,7 @@ def shoulder_in_tool(P, d):
 def inspection_margin(P, d, a4, a6):
     """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift (prismatic joint) d.
 
-    The orientation is kept.
+    The orientation of P counts as fixed.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)

@@ -66,7 +66,7 @@ def explain_result(result: Any) -> Explanation:
 
 
 def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
-    """Return the closed form to show, as a Plan (bound to the robot): the one that solved, or one that fits; or None, and why."""
+    """Return the Plan of the closed form to show, the one that solved or one that fits, or None; also return why there is none."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
         return plan, ""

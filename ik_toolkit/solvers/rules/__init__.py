@@ -1,6 +1,6 @@
 """Solver rules: each makes one step of an iterative method from the error and the Jacobian; the search does everything else.
 
-A rule is a NamedTuple class marked `@rule`: its fields are its parameters, and its compiled `step(p, e)` writes p.desk.dq (n,) and
+A rule is a NamedTuple class marked `@rule`. Its fields are its parameters. Its compiled `step(p, e)` writes p.desk.dq (n,) and
 returns 0, SINGULAR_STEP (there is no step) or WAITING (a step of zero that is no stall). Where the step reads other numbers than
 the parameters, a `@compiled` record has the step, the rule is marked `@rule(step=ThatRecord)`, and its `pack` makes the record.
 

@@ -55,7 +55,7 @@ class LevelStep(NamedTuple):
         if int(p.desk.spent[2]) == PHASE.at_once:
             p.damped(e, QUADRATIC.damping * e.ee + FLOOR)
             return 0
-        # Once level 0 is in tolerance it is a constraint, whatever it was taken for.
+        # Once level 0 is in tolerance it is a constraint, even if it was judged out of reach before.
         return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == PHASE.out_of_reach and not e.ee < 0.0)
 
     def seek(self, p, job, excess):
