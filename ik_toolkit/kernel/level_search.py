@@ -103,8 +103,8 @@ def compare(p, e, level, best, number, job):
 def search_by_levels(rule, p, job, level, plain, excess):
     """Make attempts until several have found the best minimum, and return the Answer and the index of its stored errors.
 
-    level (2 F,): level of each group of errors (position, rotation); plain: number of first attempts in which all errors are at one
-    level. The other arguments are those of `search.search`.
+    level (2 F,): level of each group of errors (position, rotation); plain: how many attempts, the first ones, have all errors at
+    one level. The other arguments are those of `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)
