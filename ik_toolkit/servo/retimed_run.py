@@ -42,9 +42,7 @@ class RetimingConstants(NamedTuple):
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
     alike: float = 1.25  # ratio up to which the largest errors of two runs that left the reference count as equal
-    followed: float = (
-        0.2  # largest error of a step in a joint path, as a share of the tolerance; it sets how long the steps are
-    )
+    followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; sets the step length
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     harder: tuple[float, ...] = (10.0, 30.0)
@@ -86,9 +84,7 @@ class Way(NamedTuple):
 class Taken(NamedTuple):
     """Outcome of one run: joint values Q, rates R, errors E, singular directions S and limit bits C at its samples."""
 
-    missed: (
-        int  # number of samples off the reference; for a solver, which always lags, number of steps held back by limits
-    )
+    missed: int  # samples off the reference; for a solver, which always lags, number of steps held back by limits
     Q: np.ndarray
     R: np.ndarray
     E: np.ndarray
