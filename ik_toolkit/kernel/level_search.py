@@ -41,8 +41,8 @@ class Minimum(NamedTuple):
 def rank_errors(p, e, level):
     """Return the errors with an `ee` that orders configurations by level, and a `good` that says if all levels are in tolerance.
 
-    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets more
-    levels always has a smaller value, and it is below 0 if level 0 is met.
+    If all levels above c are in tolerance and level c has the squared error v, `ee` is v / (1 + v) - c. A configuration that meets
+    more levels therefore always has a smaller value, and the value is below 0 if level 0 is met.
     """
     groups, top = level.shape[0], 0.0
     for g in range(groups):

@@ -1,9 +1,9 @@
 """Choose the orderings of a robot's loop for the elimination, by trying all twelve of them on random poses.
 
 The loop equation can be reversed or not, and begun at any of six joints. An ordering is good if its remaining unknown q3 tells the
-solutions apart: with a spherical wrist, joints 1 to 3 have the same values in the two solutions of the wrist, so the unknown must
-be another joint. This is not decided by geometry but by solving for the same poses with each ordering, and counting how many
-solutions it finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
+solutions apart. With a spherical wrist, for example, joints 1 to 3 have the same values in the two solutions of the wrist, so the
+unknown must be another joint. This is not decided by geometry but by solving for the same poses with each ordering, and counting
+how many solutions it finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
 """
 
 from typing import NamedTuple
