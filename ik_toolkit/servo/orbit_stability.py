@@ -166,9 +166,9 @@ class PathMotion:
     ) -> Growth:
         """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
 
-        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the tip's error
-        at the end to that at the start, if the joint rates at the start have no error. h [s]; null_damping [1/s]; pace: how many
-        times as fast the reference is followed.
+        For a closed path it is the spectral radius of the map from lap to lap. Otherwise it is the largest possible ratio of the
+        tip's error at the end to that at the start, if the joint rates at the start have no error. h [s]; null_damping [1/s]; pace:
+        how many times as fast the reference is followed.
         """
         bent, orbit = self.sampled(pace * h)
         orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)

@@ -2,8 +2,8 @@
 
 Both come from the product of the exact derivatives of all steps along the motion without error (orbit_stability.py), so they hold
 for small errors, without limits and without damping near singular poses. Only the gains times the sample time and the number of
-samples of a path count. A gain that is fixed while the rate changes is therefore a ray from the origin of a chart of the gain times
-h over the travel in a sample, and the least rate is where this ray enters the stable region for good.
+samples of a path count. In a chart of the gain times h over the travel in a sample, a gain that is fixed while the rate changes is
+therefore a ray from the origin. The least rate is where this ray enters the stable region for good.
 
 No path of fewer than 4 samples is judged.
 """

@@ -7,8 +7,8 @@ A tracker reduces the error locally. A tool that is turned further and further t
 limit and every small motion increases the error. The solver's attempts from other starts then find other joint values
 for the same target, and the arm moves there in joint space, leaving the path of its tip.
 
-When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while,
-or at once for a target that jumped to a place that the solver does not reach from the present joint values. A search is
+When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while. If the
+target jumped to a place that the solver does not reach from the present joint values, the search begins at once. A search is
 spread over several updates so that none takes much longer; after a search that finds nothing there is a pause.
 
 When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm waits until
