@@ -106,8 +106,8 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
     """Decorator: compile a function that Python calls, with a cache on disk.
 
     The cache is invalid after an edit of any file directly in the folders `kernel` and `compile`, of the function's file, or of the
-    files of `parts`: classes and functions, such as a solver rule, that are compiled into the function but are not found through
-    its global names.
+    files of `parts`. These are classes and functions, such as a solver rule, that are compiled into the function but are not found
+    through its global names.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **made_by(pipeline))(function)
     if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.

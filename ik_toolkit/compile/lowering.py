@@ -110,14 +110,14 @@ class PartLower(Lower):
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value, or store it in memory, where the replaced value needs no reference counting."""
+        """Keep a value as it is, or store it in memory; the value that it replaces needs no reference counting."""
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:
             self.builder.store(value, self.getvar(name))
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
-        """Write an expression; for a `range` with step 1 without the division by which numba would compute the length."""
+        """Write an expression; a `range` with step 1 gets no division, by which numba would compute its length."""
         if expr.op in ("getiter", "iternext"):
             kind = self.typeof(expr.value.name)
             value = self.loadvar(expr.value.name)

@@ -49,7 +49,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Do what PostProcessor.run does, but for liveness analysis, which only generators and reference counts need."""
+    """Do what PostProcessor.run does, except for liveness analysis, which only generators and reference counts need."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:

@@ -166,7 +166,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
 
     The features are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, each with a
-    factor, so that their scalar product with a target's pose is a squared distance, up to a constant.
+    factor. Their scalar product with a target's pose is thus a squared distance, up to a constant.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]

@@ -28,15 +28,15 @@ class StatusCodes(NamedTuple):
     bad_target: int = 8
     bad_start: int = 9
     too_far: int = 11
-    # An attempt without a status yet continues, no longer moves any joint (`search.conclude` finds out why), or has come near the
-    # minimum that is known.
+    # An attempt that has no final status yet either continues (going), or no longer moves any joint (still; `search.conclude` finds
+    # out why), or has come near the best minimum found so far (known).
     going: int = -1
     still: int = -2
     known: int = -3
 
 
 class PoseThresholds(NamedTuple):
-    """Thresholds by which an array (4, 4) counts as a pose; all were chosen."""
+    """Thresholds that decide whether an array (4, 4) counts as a pose. The values were chosen by hand, not derived."""
 
     axes: float = 1e-6  # largest difference between the dot products of the axes and 0 or 1
     last_row: float = 1e-9  # largest difference between the last row and 0 0 0 1

@@ -162,8 +162,8 @@ def levers(parts, way, out, spread) -> None:
 def rows(parts, facing, rate, deceleration, rules, planes) -> int:
     """Write the linear constraints on the joint rates under which pairs of shapes can still brake before they touch.
 
-    Three bounds limit the speed at which a pair approaches: `rules.slope` times its gap, half of its gap in a control step, and the
-    speed that each of the joints which take part in the braking can bring to zero within the gap.
+    Three bounds limit the speed at which a pair approaches: `rules.slope` times its gap, half of its gap in a control step, and,
+    for each joint that takes part in the braking, the speed that this joint can bring to zero within the gap.
 
     Args:
         parts: `Bodies` at the current configuration.

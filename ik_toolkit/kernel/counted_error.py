@@ -68,7 +68,7 @@ class SmallAngles(NamedTuple):
     """Angles below which a formula that divides by them is replaced."""
 
     sine: float = 1e-9  # two directions count as parallel if the sine of their angle is below this, which is rounding
-    angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; chosen
+    angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; set by hand
 
 
 KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles()
@@ -281,8 +281,8 @@ class Bend(NamedTuple):
     """Factors of the second derivatives of a tip's error with respect to two of its joints, see `add_pairs`."""
 
     linear: V3  # factors of the position
-    turn: V3  # factors of the rotation vector, of a constraint
-    least: M3  # matrix of the squared rotation error that is minimised
+    turn: V3  # factors of the rotation vector itself
+    least: M3  # matrix of the squared rotation error, if that is minimised
 
 
 @inline

@@ -41,8 +41,8 @@ class Minimum(NamedTuple):
 def rank_errors(p, e, level):
     """Return the errors with an `ee` that orders configurations by level, and a `good` that says if all levels are in tolerance.
 
-    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets more
-    levels always has a smaller value, and it is below 0 if level 0 is met.
+    If all levels above c are in tolerance and level c has the squared error v, `ee` is v / (1 + v) - c. A configuration that meets
+    more levels therefore always has a smaller value, and the value is below 0 if level 0 is met.
     """
     groups, top = level.shape[0], 0.0
     for g in range(groups):
@@ -103,8 +103,8 @@ def compare(p, e, level, best, number, job):
 def search_by_levels(rule, p, job, level, plain, excess):
     """Make attempts until several have found the best minimum, and return the Answer and the index of its stored errors.
 
-    level (2 F,): level of each group of errors (position, rotation); plain: number of first attempts in which all errors are at one
-    level. The other arguments are those of `search.search`.
+    level (2 F,): level of each group of errors (position, rotation); plain: how many attempts, the first ones, have all errors at
+    one level. The other arguments are those of `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)

@@ -27,11 +27,11 @@ from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
 class LevelSteps(NamedTuple):
     """Numeric constants of the steps, measured on eight arms; errors are in rad and in lengths over the arm's reach."""
 
-    # optimality test: norm of the gradient in the null space, and a tenth of the largest multiplier of the wrong sign, as shares of
-    # the error
+    # A configuration counts as a minimum if the norm of the gradient in the null space, and a tenth of the largest multiplier of
+    # the wrong sign, are below this share of the error.
     first_order: float = 1e-6
-    # squared error below which the gradient no longer has to fall with it: only directions flatter than `flat` are left there, such
-    # as the free turn of a tool whose axis in the description is rounded, worth microradians over a whole turn
+    # Below this squared error the gradient no longer has to fall with the error. Only directions flatter than `flat` are left then,
+    # such as the free turn of a tool whose axis is rounded in the description: a whole turn changes the error by microradians.
     small: float = 1e-8
     damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
     least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
@@ -61,8 +61,8 @@ class LevelSteps(NamedTuple):
     # iterations
     table_six: int = 512
     known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
-    # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the
-    # second one once an attempt has reached level 0; at the border of the reach the first one must be patient
+    # An attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the
+    # factor `decay_later` once an attempt has reached level 0. At the border of the reach `decay` must not be small.
     decay: float = 0.5
     decay_later: float = 0.3
 
@@ -269,7 +269,7 @@ def multipliers(level, base, k, bench):
 
 @inner
 def inverse_multipliers(s, level, k, bench):
-    """Write to bench.multiplier what replaces the multipliers where level 0 is minimised: the Jacobian times mu = -H^+ gradient.
+    """Write to bench.multiplier what replaces the multipliers if level 0 is minimised: the Jacobian times mu, mu = -H^+ gradient.
 
     The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
     """
@@ -309,8 +309,9 @@ def step_by_levels(p, e, level, far):
     """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
 
     level (2 F,): level of each group of errors; far: whether level 0 is minimised, because it is out of reach. Joints at a limit
-    that the step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is
-    released, one after the other: in a corner of the limits the multipliers of level 0 are only known when enough joints are free.
+    that the step pushes outwards are held. At a minimum the multipliers of held joints must push outwards; as long as some do not,
+    the worst of these joints is released. Joints are released one by one because in a corner of the limits the multipliers of
+    level 0 are only known when enough joints are free.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0

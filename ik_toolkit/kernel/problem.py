@@ -15,7 +15,7 @@ Both have the same methods, so solver rules and loops are written once. Lengths 
     norm, inside, best_move, try_out, undo    serve rules that move one joint after the other
     rank, begin, draw  choose where attempts start
     head_for(T)        take the target T (F, 4, 4) of a tracker, even if it is out of reach
-    plain()            return whether every target is a whole pose, or a position alone (several tips: or free), in base axes
+    plain()            return whether every target is a whole pose or a position alone (with several tips: or free), in base axes
     base_axes(y, out)  convert errors y (m,) of `stack` to base axes and metres; if only a part counts, they stay in the task's axes
     moving(V, out)     convert a twist, or acceleration, of the targets V (m,) [base axes, m] to the errors that count
     mirrors(out)       write (F, 3) normals of reflections; with a free turn, a tip's reflection makes its last rotation error 0

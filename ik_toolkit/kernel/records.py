@@ -93,7 +93,7 @@ class Miss(NamedTuple):
 
 
 class ArraySizes(NamedTuple):
-    """How many numbers each of these NamedTuples takes in an array; what follows in the array begins there."""
+    """How many numbers Orders, Task, Answer and Miss take in an array; whatever follows in the array begins at that index."""
 
     orders: int = len(Orders._fields)
     task: int = len(Task._fields)

@@ -174,7 +174,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
         if needs_jacobian:
             p.jacobian(e)
         k += 1.0
-        # Below 0 is a rank of `level_search.rank_errors`: level 0 is met.
+        # A value below 0 is a rank from `level_search.rank_errors`, and means that level 0 is met.
         ceiling = patience.ceiling if e.ee < 0.0 else ceiling * patience.decay
         copy(job.weights, w)
         p.desk.spent[0] = count

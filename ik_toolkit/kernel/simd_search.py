@@ -1,9 +1,10 @@
 """Levenberg-Marquardt for eight targets at once, one in each lane of a SIMD vector: twice as many solves a second as `search`.
 
-Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ: joints are
-held by the sign of the gradient and not of the step, because the step would then have to be computed again with joints held, almost
-always for at least one lane. A lane that is done takes the next target. Lanes never exchange data, so an answer depends on its
-target alone. Targets that take too long or need care (unreachable, rotations by pi, invalid) are left to the ordinary search.
+Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ:
+whether a joint is held depends on the sign of the gradient, not of the step. Otherwise the step would have to be computed again
+with joints held, almost always for at least one lane. A lane that is done takes the next target. Lanes never exchange data, so an
+answer depends on its target alone. Targets that take too long or need care (unreachable, rotations by pi, invalid) are left to the
+ordinary search.
 """
 
 # Pyright reports calls of intrinsics, because numba itself passes their first argument.

@@ -21,7 +21,10 @@ PAD = 16  # unused columns of the table that keep its rows from sharing one set 
 
 
 class DistanceWeights(NamedTuple):
-    """Weights in the squared distance of a configuration from a target; that of the position error over the reach is 1. Chosen."""
+    """Weights of the terms in the squared distance of a configuration from a target.
+
+    The squared position error (over the reach) has weight 1. The values were chosen by hand, not derived.
+    """
 
     rotation: float = 0.05  # of |dR|^2 (Frobenius norm)
     # of |q - home|^2, for one tip, so that of configurations almost equally far away the one nearest home is taken

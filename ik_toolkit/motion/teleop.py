@@ -75,8 +75,8 @@ class Teleop:
             engaged: Whether the clutch is held.
             dt: Time since the last update [s].
 
-        While the pose has numbers that are not finite, as from a device that lost its tracking, the target stays, and the hand
-        takes it up from where it is seen again.
+        While the pose has numbers that are not finite, as from a device that lost its tracking, the target stays where it is. When
+        the hand is seen again, the target follows its motion from there, without a jump.
 
         Raises:
             InvalidTarget: T_controller is not a pose; the target has not moved.

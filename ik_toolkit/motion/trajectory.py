@@ -1,4 +1,4 @@
-"""A timed joint motion: evaluated at any time, sampled at a fixed rate, exported for controllers; and motions read from files."""
+"""Timed joint motions, evaluated at any time, sampled at a fixed rate, exported for controllers, or read from files."""
 
 import json
 import logging

@@ -181,7 +181,11 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
     parts: list[tuple[float, int, int, Any, Any]] = []
 
     def measure(q: np.ndarray, known: np.ndarray, off: Any) -> np.ndarray:
-        """Replace the lower bounds known (P,) [m] by distances where the motion, off by `off` (P,) [m], may be nearest."""
+        """Replace lower bounds by measured distances [m] for the pairs that may be the nearest ones at q; return the bounds.
+
+        known (P,): lower bounds of the pairs' distances at q, changed in place; off (P,) or 0: how much nearer each pair may come
+        because the motion deviates from the straight line. Also lowers `least`, the least distance so far.
+        """
         nonlocal least
         near = np.flatnonzero(known - off < least)
         if len(near):
@@ -225,7 +229,7 @@ def clearance_along(collision: Any, way: np.ndarray) -> float:
 
 
 class _SegmentCheck(NamedTuple):
-    """Result for a segment: whether it is proven free, and the share (0 to 1) of a contact, or -1."""
+    """Result for a segment: whether it is proven free, and at which share of it (0 to 1) there is a contact, or -1."""
 
     proven: bool
     touches: float
@@ -259,7 +263,7 @@ def _between(
 
 
 SECONDS = 2.0  # time limit [s] of the search of `connect`
-NODES = 20_000  # largest number of random points, so that a search without success also ends on a fast machine
+NODES = 20_000  # largest number of random points; on a fast machine it may end the search before the time limit
 STEP = 0.25  # longest step of a tree towards a random point [rad, or length over the reach]
 SHORTCUTS = 60  # number of attempts to cut corners of the motion found
 ALONG = 5_000  # largest number of collision tests of one straight move

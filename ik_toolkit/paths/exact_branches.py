@@ -29,7 +29,7 @@ EXACT = 1e-5
 
 
 def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return all solutions as `solutions` does, for other arms of six revolute joints by the elimination; None for all others."""
+    """Return what `solutions` returns, for other arms of six revolute joints by the elimination; None for all other arms."""
     found = solutions(plan.robot, T)
     exact = elimination_plan(plan) if found is None else None
     if exact is None:

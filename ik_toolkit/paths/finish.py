@@ -54,7 +54,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]
     made[there] = np.clip(made[there], *problem.limits[:2])
     rows, good = problem.settled(made[there], there)
-    # Where Newton's steps fail, at a singular pose, the row that the search found is on its pose.
+    # Where Newton's steps fail, at a singular pose, the row that the search found is on its pose already.
     made[there[good]] = rows[good]
     return made * problem.unit
 

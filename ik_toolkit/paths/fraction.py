@@ -48,7 +48,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
     if rows == len(motion.curve):
         return 1.0
     reached = float(np.interp(motion.at[rows - 1], at, way)) if rows else 0.0
-    # A path of an arm with too few joints may leave the poses between, and has no largest step.
+    # The search does not bound the steps of an arm with too few joints, so the default largest step is used for it here.
     most = (
         np.minimum(p.most, np.where(p.robot.slides, STEP[1], STEP[0]) / p.unit)
         if freedom(p.single, p.kinds).lacks

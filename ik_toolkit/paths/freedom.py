@@ -60,7 +60,8 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
     own = most(J)
     everywhere = np.moveaxis(J[:, used], 0, 2).reshape(len(blocks), 3, -1)
-    # Planar arms, gantries and SCARA arms can move in the same directions everywhere, with uncoupled rotations.
+    # Planar arms, gantries and SCARA arms can move in the same directions everywhere, and their rotations are independent of their
+    # translations.
     # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows

@@ -105,12 +105,12 @@ class Search:
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, threads, seed)
-        # For each anchor without solutions how far [m] it is proven out of reach, 0 if it is not; None for the others.
+        # for each anchor without solutions, how far [m] it is proven out of reach (0: not proven); for other anchors None
         self.anchored: dict[int, float | None] = {}
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        # All solutions (N, K, n) of the poses [internal units], whether (N,) that is proven; None if they cannot be listed.
+        # all solutions (N, K, n) of the poses [internal units], and whether (N,) these are proven to be all; None: no list
         self.listing, self.legal = self.list_solutions()  # legal (N, K): which of them keep the joint limits
         self.copied: set[int] = set()  # joints with a range above 2 pi whose tracks are copied with shifts by 2 pi
         self.wound = problem.endless
@@ -123,7 +123,7 @@ class Search:
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int, starts: int = STARTS) -> int:
-        """Solve pose t from so many starts, and continue its new solutions along the path as tracks.
+        """Solve pose t from `starts` random starts, and continue its new solutions along the path as tracks.
 
         count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
         """
@@ -326,7 +326,7 @@ class Search:
             self.link()
         else:
             return
-        # A solution missing at a single pose, between complete lists, is entered and left by reconfigurations: it saves none.
+        # If the list of one pose between two complete ones lacks a solution, a path would enter and leave it by reconfigurations.
         beside = np.pad(sure, 1, constant_values=True)
         known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
         if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):

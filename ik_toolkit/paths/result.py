@@ -288,7 +288,7 @@ def path_sentence(path: PathResult, needed: int, allowed: float, cause: str = ""
     """Return the sentence that says how a path search ended and, if it failed, what to try.
 
     needed: number of reconfigurations of the best path found through all poses; allowed: the largest number allowed; cause: why the
-    first pose that is not reached cannot be, and what to try, or ''.
+    first of the unreached poses is not reached, and what to try, or ''.
     """
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:

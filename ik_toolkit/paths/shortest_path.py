@@ -81,14 +81,16 @@ def link_layers(
     Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
-    price (3, n): [0]: cost per unit of a joint's move; [1]: cost per unit of its square;
-        [2, :2]: cost of a step longer than `most`, and of a reconfiguration
+    price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
+        `most`, then cost of a reconfiguration
     begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
-    blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
-    axis: index of the joint whose value sorts the states, to look up near ones; order (N, K): the tracks so sorted
+    blocked (B, 3): excluded steps, sorted; each row is the pose that the step leads to, the track before it and the track after it
+    axis: index of the joint by whose value the states of a pose are sorted, so that states near a given one are found fast
+    order (N, K): indices of the tracks in that order
 
-    Written are counts (N, K) and costs (N, K), the reconfigurations (contacts as CONTACT each) and the cost of the best
-    path to each state; parents (N, K), see NONE; prior (N,), the last earlier layer that has states, or -1.
+    The results are written to four arrays. counts (N, K): number of reconfigurations on the best path to each state, where a pose
+    in contact counts as CONTACT of them. costs (N, K): cost of that path. parents (N, K): the state before it, see NONE. prior
+    (N,): the last earlier pose that has states, or -1.
     """
     N, K, _ = Q.shape
     keys, near = np.empty(K), np.empty(K, np.int64)

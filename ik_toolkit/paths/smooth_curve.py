@@ -98,8 +98,8 @@ def _judged(
 ) -> tuple[Curve, np.ndarray]:
     """Return the spline through the rows `curve` (M, n) [rad or m], and whether (M-1,) it is unacceptable between two rows.
 
-    That is where a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or where the motion is not proven free of
-    contact. at (M,): positions of the rows on the path.
+    It is unacceptable where a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or where the motion is not proven
+    free of contact. at (M,): positions of the rows on the path.
     """
     robot = plan.robot
     knots = coordinate(curve, robot.chain.unit)
@@ -178,7 +178,7 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
-    That is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
+    The result is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
     whose kind is KIND.free are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)

@@ -42,7 +42,10 @@ class PathPrice(NamedTuple):
 
 @inline
 def path_problem(rows, ends, orders, n, block):
-    """Return the problem of the poses of a path, with its Orders, joint limits (Bounds), joint weights and `Ends`; on views."""
+    """Return what a solve at the poses of a path needs: search problem, Orders, joint limits (Bounds), joint weights and `Ends`.
+
+    Their arrays are views of the arguments, not copies.
+    """
     o = read(Orders, orders)
     first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0

@@ -94,8 +94,9 @@ def solve_path(
         threads: number of threads; default all cores.
         progress: function (fraction, text) that is called regularly.
         options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, priority, relative_to,
-            joint_weights. With a priority the path leads through the poses if all their levels can be met, else the nearest
-            that one posture reaches; these are the result's `targets`, and its errors those from the poses asked for.
+            joint_weights. With a priority the path leads through the poses if all their levels can be met. Otherwise it leads
+            through the nearest poses that one posture reaches; these are the result's `targets`, but its errors are still
+            measured from the poses asked for.
 
     Returns:
         The best motion found. That a path cannot be followed is a status of the result.
@@ -186,7 +187,8 @@ def _check(options: Mapping[str, Any], progress: Any) -> None:
 def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: dict, options: Mapping) -> tuple:
     """Return a path that meets all levels or None, a Solver of whole poses, a Plan with priorities, poses in reach, their places.
 
-    What a mask or a free turn leaves free at the nearest poses is kept, because elsewhere other poses are the nearest.
+    The Solver counts whole poses: what a mask or a free turn leaves free stays as it is at the nearest poses, because with other
+    values other poses would be the nearest.
     """
     kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority that such targets give nothing to do
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
@@ -306,7 +308,7 @@ def _result(
         elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
-    # With a priority the pose need not be met, so its cause would be another one.
+    # With a priority the pose itself need not be reached, so a solve of it alone would show another cause.
     plain = problem.follower is problem.single
     cause = _cause(problem, T[missing[0].index]) if missing and plain else ""
     result = replace(result, message=path_sentence(result, needed, allowed, cause))
@@ -327,7 +329,10 @@ def _cause(problem: Problem, T: np.ndarray) -> str:
 
 
 def _against(made: PathResult, wanted: tuple[np.ndarray, Options] | None, notice: str = "") -> PathResult:
-    """Return the path; if it leads through nearest poses, with its errors from those `wanted` (T, options) and a longer message."""
+    """Return the path; if it leads through nearest poses, with its errors from the poses asked for, and a longer message.
+
+    wanted: the poses asked for and the options that say which errors count, or None.
+    """
     if notice:
         made = replace(made, message=f"{made.message}; {notice}")
     if wanted is None:

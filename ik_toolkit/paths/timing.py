@@ -276,7 +276,7 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
     knots = piece.knots
-    # Between grid points the tip stays below its speed limit by as much as its rate along the curve changes there.
+    # Between grid points the tip is slower than its limit by as much as its rate along the curve changes there.
     points = GRID if tip_speed == math.inf else 10 * GRID
     between = max(2, math.ceil(points / (len(knots) - 1)))
     step = np.diff(knots) / between

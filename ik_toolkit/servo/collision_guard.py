@@ -1,9 +1,9 @@
 """Collision avoidance of a tracker: inequalities that slow the arm near obstacles, and a proof that it can still stop.
 
 The inequalities limit joint rates. They are made at the nearest points of the closest pairs of bodies, guide the arm,
-and may be relaxed. The promise that nothing static is ever touched rests on the proof: the step and the full brake
-after it are followed along their path, with distances measured so densely that no contact fits between two
-measurements. A step that cannot be proven free is not taken.
+and may be relaxed. The promise that nothing static is ever touched rests on the proof. It follows the path of the step and of the
+braking to rest after it, and measures distances so densely that no contact fits between two measurements. A step that cannot be
+proven free is not taken.
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +33,8 @@ class GuardThresholds(NamedTuple):
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
     looks: int = 12
-    # If a step is not allowed, these shares of the way from the brake's end to the step's are tried.
+    # If a step is refused, points between the state after braking for the same time and the state after that step are tried, at
+    # these fractions of the way.
     parts: tuple[float, ...] = (1 / 2, 1 / 8, 1 / 64)
 
 
@@ -41,7 +42,7 @@ GUARD = GuardThresholds()
 
 
 class Path(NamedTuple):
-    """A step and the full brake after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
+    """A step and the braking to rest after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
     The first piece lasts h [s]. even [1/s]: share of their initial rates that the joints lose per second while they brake
     together; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of the
@@ -143,10 +144,10 @@ class Guard:
         # (P,) whether the distance of each pair was measured at q; if not, only a bound is known
         self._fresh = np.ones(len(self._low), dtype=bool)
         self._known = False  # whether the joint Jacobians of all bodies at q are known
-        # (P,) bounds [m] on how much closer each pair can come during a step and brake like the last ones
+        # (P,) bounds [m] on how much closer each pair can come during a step, and the braking after it, like the last ones
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # ratio of the present rates in the proven brake to the rates with which it began
+        self._left = 1.0  # ratio of the present rates in the proven braking to the rates with which it began
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
@@ -195,7 +196,7 @@ class Guard:
 
     # ------------------------------------------------------------------------------------------------ the proof
     def allows(self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float) -> bool:
-        """Return whether the step from (q, rate) to (q1, rate1) in h [s] and the full brake after it are proven free.
+        """Return whether the step from (q, rate) to (q1, rate1) in h [s] and the braking to rest after it are proven free.
 
         q must be where the last step ended. A step that is allowed counts as taken. Otherwise `blocked` names the pair
         at fault.
@@ -208,7 +209,7 @@ class Guard:
         """Return joint values and rates (n,) after h [s] of what replaces a refused step from (q, rate) to (q1, rate1).
 
         The arm brakes, but only as hard as it has to: it takes the largest part of the step that is proven free. Limits that both
-        the step and the brake keep are kept by everything between them.
+        the step and the braking keep are also kept by every motion between these two.
         """
         blocked = self.blocked
         braked, slower, _ = self._braking(q, rate, h)
@@ -223,7 +224,8 @@ class Guard:
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Return joint values and rates (n,) after h [s] of braking from (q, rate).
 
-        The brake is the one that was proven free together with the last step taken.
+        The arm follows the braking motion that was proven free of contact together with the last step. If no step has been proven
+        yet, a braking motion is planned here, even if it cannot be proven free.
         """
         q1, rate1, self._left = self._braking(q, rate, h)
         if self._path is not None:
@@ -231,9 +233,9 @@ class Guard:
         return q1, rate1
 
     def _braking(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return where `brake` leads, (n,) and (n,), and the ratio of the rates then to those with which the brake began."""
+        """Return the joint values and rates of `brake`, and the ratio of these rates to those with which the braking began."""
         blocked = self.blocked
-        # If the arm did not get here by a step that this guard proved, there is no proven brake yet.
+        # If the arm did not get here by a step that this guard proved, no braking motion has been proven yet.
         if self._path is None:
             self._take(q[None], rate[None], h, anyway=True)
             self.blocked = blocked
@@ -257,7 +259,7 @@ class Guard:
         self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Try to prove the motion through the states Q, R (1 or 2, n) and the brake after it; return whether it is free.
+        """Try to prove the motion through the states Q, R (1 or 2, n) and the braking after it; return whether it is free.
 
         A motion that is free, or any motion if `anyway`, counts as taken. h [s]: length of the step.
         """
@@ -290,9 +292,9 @@ class Guard:
         return self.blocked is None
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
-        """Return the path through the states Q, R (1 or 2, n) and a full brake after them; None if there is no brake.
+        """Return the path through the states Q, R (1 or 2, n) and the braking to rest after them; None if a joint cannot brake.
 
-        The brake must hold for later steps of any lengths up to `late`, while a short step can hardly change the rates within the
+        The braking must suit later steps of any lengths up to `late`, while a short step can hardly change the rates within the
         acceleration limits. All joints therefore lose the same share of their initial rates per second. The arm then stays on one
         line in joint space whatever the lengths of the steps, and stops no later on it than with the worst lengths. A joint whose
         position limit is nearer than that brakes on its own.

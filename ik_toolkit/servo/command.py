@@ -170,9 +170,9 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def bend_as_allowed(law, s, rate, blocked):
-    """Shorten the step s.x2 (and s.x1) [rates], for which dJ/dt is taken, to what limits allow; to 0 where they block the joints.
+    """Shorten the joint rates s.x2 (and s.x1), for which dJ/dt is taken, to what limits allow; to 0 if they block the joints.
 
-    For a step that the joints cannot take these terms are large and wrong: two hands lost their grip by up to 20 mm.
+    For rates that the joints cannot reach, the terms with dJ/dt are large and wrong: two hands lost their grip by up to 20 mm.
     """
     share = 1.0
     for i in range(rate.shape[0]):

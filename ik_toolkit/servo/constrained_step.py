@@ -47,9 +47,9 @@ class StepMargins(NamedTuple):
 
     # inequalities are loosened by this more than needed, so that a solution exists despite rounding
     loose: float = 1e-9
-    # factor on the bound of the curvature that the linear model neglects, because full steps zigzag; chosen
+    # factor on the bound of the curvature that the linear model neglects, because full steps zigzag; set by hand
     bend: float = 1.5
-    # weight of an error across the direction asked for, if nothing is blocked; falling behind along it has weight 1; chosen
+    # weight of an error across the direction asked for, if nothing is blocked; falling behind along it has weight 1; set by hand
     straight: float = 100.0
     # least damping of a task whose solution is undefined by rounding, as a share of its longest row squared; without it up to 18 %
     # of random steps with a singular value of 1e-8 found no optimum (tests/kernel/test_constrain.py)
@@ -296,8 +296,9 @@ def damping(p, asked):
     """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
     The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is the arm's
-    reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag. Each row counts with a weight of
-    its own level: a heavier one, such as that of a grip, which is kept, would slow what a lighter one asks for.
+    reach, for slow joints as for fast ones. CAUTION.bend adds a margin, because full steps zigzag. Each row counts with the
+    largest weight of its own priority level. With the weight of a heavier level, such as that of a grip that is kept, it would slow
+    down what its own level asks for.
     """
     miss, fastest, k, n = 0.0, 0.0, p.planes, asked.size.shape[0]
     for c in range(asked.heavy.shape[0]):

@@ -7,7 +7,7 @@ joint rates y of
     min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * |H W e|
 
 (Levenberg-Marquardt; e: error, W: weights, H: the largest weight at the priority level of each error, K: gain). The neglected
-curvature of the tip's path under one joint adds at most |H W e| to J'W^2 J, because the path is curved at most like a circle whose
+curvature of the tip's path under one joint adds at most |H W e| to J'W^2 J: the path is curved at most like a circle whose
 radius is the arm's reach (the unit of length). With more damping the motion is closer to steepest descent along the limits, so the
 joints only stop where no descent is left.
 The share is adapted: it is raised when joints turn back (they went too far) or the error does not fall, and lowered while the

@@ -46,7 +46,7 @@ LAW, READING = LawCode(), ReadingCode()
 class EasingThresholds(NamedTuple):
     """Thresholds for the damping of the pseudo-inverse, and for how much of an error is fed back, see `ease`."""
 
-    # The pseudo-inverse is damped where the smallest singular value is below this times `Law.damping`; chosen.
+    # The pseudo-inverse is damped where the smallest singular value is below this times `Law.damping`; set by hand.
     region: float = 2.0
     # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
     curved: float = 0.25
@@ -69,9 +69,12 @@ class Law(NamedTuple):
     null: float  # damping of null-space motion [1/s]
     damping: float  # [arm reaches per rad] damping of the pseudo-inverse near singular poses
     reading: float  # where dJ/dt is evaluated: a number of `ReadingCode`
-    runaway: float  # [rad or arm reaches] mean joint move in a step that ends the run; inf: hold, never end
-    brake: float  # 1: brake to rest, whatever the target
-    late: float  # longest later step [s] for which limits must hold
+    # [rad or arm reaches] mean joint move per step above which the run ends as diverged (mode clip only); inf: the run never ends,
+    # and the arm brakes if the rates are not finite
+    runaway: float
+    brake: float  # 1 if the arm brakes to rest, whatever the target, else 0
+    # [s] longest step that may come after this one; joints must still be able to stop inside their limits in steps of this length
+    late: float
     mode: float  # a number of `constrained_step.StepModes`
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of inequality constraints in use

@@ -63,7 +63,10 @@ def initial_rates(law, J, f, G, y, limits, q, rate, state):
 
 @inline
 def keep_axes(counts, flip):
-    """Clear the mirror planes `flip` (F, 3) of tips whose rotation errors have slack or unequal weights, which are along axes."""
+    """Clear the mirror planes `flip` (F, 3) of tips whose rotation errors have slack or unequal weights.
+
+    Slack and weights belong to fixed axes, which mirroring would turn.
+    """
     weight, slack = counts[0], counts[1]
     for f in range(flip.shape[0]):
         k = 6 * f + 3
@@ -150,7 +153,7 @@ def copy_planes(law, lines, level, planes, edges):
 def clip_rates(law, s, still, h, memory, code):
     """Clip the rates s.x to their bounds, each joint on its own, in mode clip and when the arm brakes (still).
 
-    The method's memory then receives the rates that clipped joints really took (mode clip), or zeros (brake).
+    The method's memory then receives the rates that clipped joints really took (mode clip), or zeros (if the arm brakes).
     """
     clip(s.x, box_of(s), code)
     if not still:

@@ -28,8 +28,9 @@ class SlackRules(NamedTuple):
     """Constants by which an error with a slack (dead band) is kept inside the slack."""
 
     nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
-    # An error that exceeds its slack by more than this is closed like an error without slack: `beyond` [share of the slack] while
-    # inequalities cannot be kept, as a smaller excess may be rounding; `far` [arm reaches, rad] otherwise.
+    # An error that exceeds its slack by more than a bound is closed like an error without slack. The bound is `beyond` [share of
+    # the slack] while inequalities cannot be kept, because a smaller excess may be rounding; otherwise it is `far` [arm reaches,
+    # rad].
     beyond: float = 1e-3
     far: float = 1e-2
     pressed: float = 0.1  # [s] after which inequalities that keep errors within slack are tried again
@@ -120,7 +121,7 @@ def slack_rows(slack, s, count, h, state):
 
     Inside the band, an error may come closer to its edge by at most the share SLACK.nearly of the distance in one sample; slightly
     outside, it is brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task
-    or contradict the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then
+    or contradict the limits (STATE.pressed), every error outside its band stays in the task, because hard inequalities would then
     let joints turn at full speed.
     """
     n, m = s.J.shape

@@ -166,9 +166,9 @@ class PathMotion:
     ) -> Growth:
         """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
 
-        It is the spectral radius of the map from lap to lap for a closed path, else the largest possible ratio of the tip's error
-        at the end to one at the start, where the rates are right. h [s]; null_damping [1/s]; pace: how many times as fast the
-        reference is followed.
+        For a closed path it is the spectral radius of the map from lap to lap. Otherwise it is the largest possible ratio of the
+        tip's error at the end to that at the start, if the joint rates at the start have no error. h [s]; null_damping [1/s]; pace:
+        how many times as fast the reference is followed.
         """
         bent, orbit = self.sampled(pace * h)
         orbit = orbit._replace(rate=pace * orbit.rate, v=pace * orbit.v, a=pace**2 * orbit.a)
@@ -342,7 +342,8 @@ def step_matrices(
     move = inverse(b, coming - kept * behind)
     if method == "av":
         return eye + move
-    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), where s = J^+ b, and x, y are qd or s / h + free qd.
+    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), plus the damping of null-space motion. Here s = J^+
+    # b, and x, y are qd or s / h + free qd.
     g, reading = (0.5, gains.get("reading", 2)) if method == "aa" else (gains["gamma"], 3)
     rates = (qd, np.zeros_like(eye), eye)  # the rates x and y, with their derivatives with respect to q and qd
     expected = (times(P, b) / h + times(free, qd), move / h - drift, free)

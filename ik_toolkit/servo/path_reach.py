@@ -209,7 +209,10 @@ def smaller(found: Survey) -> list[float]:
 
 
 def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the options of a pose changed for its position alone; None if nothing then counts, or if mask or slack is a dict."""
+    """Return the options for a pose target, changed so that only its position counts.
+
+    Return None if nothing would then count, or if mask or slack is a dict.
+    """
     kept = {name: value for name, value in options.items() if name != "free_turn"}
     for name in ("mask", "slack"):
         value = kept.get(name)

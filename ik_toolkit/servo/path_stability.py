@@ -2,8 +2,8 @@
 
 Both come from the product of the exact derivatives of all steps along the motion without error (orbit_stability.py), so they hold
 for small errors, without limits and without damping near singular poses. Only the gains times the sample time and the number of
-samples of a path count. A gain that is fixed while the rate changes is therefore a ray from the origin of a chart of the gain times
-h over the travel in a sample, and the least rate is where this ray enters the stable region for good.
+samples of a path count. In a chart of the gain times h over the travel in a sample, a gain that is fixed while the rate changes is
+therefore a ray from the origin. The least rate is where this ray enters the stable region for good.
 
 No path of fewer than 4 samples is judged.
 """
@@ -34,10 +34,10 @@ class LeastRate:
         rate: [Hz] The method is stable at every rate that was tried from here to `most`; infinite if it is unstable at `most`.
         most: [Hz] The highest rate that was tried.
         at_rest: [Hz] The least stable rate at rest; 0 if every rate is stable there.
-        bands: Intervals (low, high) [Hz] of stable rates, `rate` to `most` the last. Others, narrower than the rates tried are
-            apart, may have been missed.
+        bands: Intervals (low, high) [Hz] of stable rates; the last one is from `rate` to `most`. Bands narrower than the spacing of
+            the rates tried may have been missed.
         rates: (K,) [Hz] the rates that were tried, at most 5 % apart.
-        growth: (K,) factor by which a small error changes over the path (over a lap if it is closed), at each.
+        growth: (K,) factor by which a small error changes over the path (over a lap if it is closed), at each of `rates`.
         largest_move: Largest move of a joint in a sample at `rate` [rad or arm reaches].
         message: One sentence; a second one if a joint moves so far in a sample that the linearisation says little.
     """
@@ -72,8 +72,8 @@ def least_rate(
         robot: The robot.
         path: The reference to follow, as from `ik.circle`.
         method: Name of the tracking method.
-        most: Highest rate to try [Hz]; default: ten times the least one at rest, but if that makes more than
-            2000 samples of the path, as many as that, or 1.6 times the least one at rest.
+        most: Highest rate to try [Hz]; default: ten times the least stable rate at rest, but no more than gives 2000 samples of the
+            path, and no less than 1.6 times the least stable rate at rest.
         q0: (n,) the motion follows the solution near it [rad or m]; default: home.
         null_damping: Damping of null-space motion [1/s], as in `Method`.
         gains: Gains of the method, as in `check_gains`, the same at every rate; without any, those of `best_gains` for each rate.

@@ -7,8 +7,8 @@ A tracker reduces the error locally. A tool that is turned further and further t
 limit and every small motion increases the error. The solver's attempts from other starts then find other joint values
 for the same target, and the arm moves there in joint space, leaving the path of its tip.
 
-When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while,
-or at once for a target that jumped to a place that the solver does not reach from the present joint values. A search is
+When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while. If the
+target jumped to a place that the solver does not reach from the present joint values, the search begins at once. A search is
 spread over several updates so that none takes much longer; after a search that finds nothing there is a pause.
 
 When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm waits until
@@ -163,12 +163,12 @@ class MoveConstants(NamedTuple):
 
     standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
     on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
-    # [s] Joints at full speed should need this time from a posture to their position limits; what is missing is a cost.
+    # [s] A posture from which a joint at full speed reaches its position limit sooner than this costs the difference.
     headroom: float = 0.5
     far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
     barred: int = 5  # number of postures remembered as blocked by a collision
     arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-    # [s] This time if the target stands still: such a target does not move away meanwhile, so the move continues nearly to its end.
+    # [s] The same for a target that stands still, which does not move away meanwhile, so that the move continues nearly to its end.
     close: float = 1e-3
 
 

@@ -210,9 +210,9 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
     position and orientation: max, rms, final, settled_max and settled_rms (second half of the run), and between_max and
     between_settled_max (which include the time between samples). By finite differences of the samples: peak_speed,
     peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3]. largest_move: largest joint move in a step, with joint and time.
-    jumps: number of steps in which a joint moves by more than jump (n,). time_at_limits [s]: of any joint (see `at_limits`);
-    time_at_limits_by_joint: of each. damped_time [s]: near a singularity. slowed_time [s]: in which the reference's clock was
-    slowed; added_time [s]: by which the run took longer; slowest: least rate of the clock.
+    jumps: number of steps in which a joint moves by more than jump (n,). time_at_limits [s]: time in which any joint is held back
+    (see `at_limits`); time_at_limits_by_joint: the same for each joint. damped_time [s]: time near a singularity. slowed_time [s]:
+    time in which the reference's clock is slowed; added_time [s]: how much longer the run took; slowest: least rate of the clock.
     """
     out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
     if result.orientation_error is not None:

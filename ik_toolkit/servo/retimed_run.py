@@ -42,7 +42,7 @@ class RetimingConstants(NamedTuple):
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
     alike: float = 1.25  # ratio up to which the largest errors of two runs that left the reference count as equal
-    followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; it sets the steps
+    followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; sets the step length
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     harder: tuple[float, ...] = (10.0, 30.0)
@@ -84,7 +84,7 @@ class Way(NamedTuple):
 class Taken(NamedTuple):
     """Outcome of one run: joint values Q, rates R, errors E, singular directions S and limit bits C at its samples."""
 
-    missed: int  # number of samples off the reference; for a solver, which always lags, of steps held back by limits
+    missed: int  # samples off the reference; for a solver, which always lags, number of steps held back by limits
     Q: np.ndarray
     R: np.ndarray
     E: np.ndarray
@@ -129,8 +129,8 @@ class Run:
     def go(self, slow: bool) -> Taken:
         """Run to the end, and again if the reference may be slowed (slow) and that helps; return the best run.
 
-        If no run keeps to the reference, that is of those which end with it the one with the least of the largest errors.
-        Ctrl-C ends the search with the best run so far, which may be incomplete; without any step it is raised again.
+        If no run keeps to the reference, the best is the one whose largest error is least, among the runs that reach its end.
+        Ctrl-C ends the search with the best run so far, which may be incomplete. It is raised again if no step was taken.
         """
         tracker = self.tracker
         # This takes no step, but compiles (or loads) the loop, so that the reported time is only that of tracking.

@@ -36,9 +36,9 @@ BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the
 
 @inner
 def remember(state, near, beyond, h):
-    """Update STATE.near after a step of h [s]: near: whether the pose is singular.
+    """Update STATE.near after a step of h [s].
 
-    beyond: whether the target is out of reach there.
+    near: whether the pose is singular; beyond: whether the target is out of reach along one of its singular directions.
     """
     if near:
         state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)

@@ -68,7 +68,7 @@ def modes(J, near, W, U, sigma):
     """Compute the singular value decomposition of J (n, m) by one-sided Jacobi rotations.
 
     W (m, n) receives sigma_k v_k as rows, U (m, m) the u_k as rows, sigma (m,) the singular values. near (m, m): the u_k of the
-    last call, which save rotations (zeros at first); it receives the new u_k, normalised.
+    last call (zeros at first), from which the rotations start, so that few are needed; it receives the new u_k, normalised.
     """
     n, m = J.shape
     known = any_of(near[0])

@@ -50,7 +50,7 @@ BEST = {
 class DefaultGains(NamedTuple):
     """The gains whose default does not depend on the sample time."""
 
-    gamma: float = 0.6  # of method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; chosen
+    gamma: float = 0.6  # of method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; set by hand
     share: float = 1.0  # the whole error, as published
 
 

@@ -27,9 +27,9 @@ from .workspace import Samples, new_samples, samples_from, samples_of
 class TargetCodes(NamedTuple):
     """What is known of a new target, given to `arrive` and returned by it."""
 
-    fine: int = 0  # checked; as a result: accepted
-    doubtful: int = 1  # still to be checked; as a result: by Python, in full
-    refused: int = 2  # not finite; the last target is kept
+    fine: int = 0  # given: the target has been checked; returned: it is accepted
+    doubtful: int = 1  # given: the target has not been checked; returned: Python has to check it in full
+    refused: int = 2  # the target is not finite, so the last one is kept
 
 
 @compiled
@@ -45,9 +45,9 @@ class ArrivalThresholds(NamedTuple):
     # Number of targets over which the longest step is remembered; gains are chosen for this step. If steps vary from 0.5 to 1.5
     # times their mean, method ca then reduces an error to 0.59 of it in each step, with gains for each step only to 0.99.
     recent: int = 10
-    # [m, or rotation matrix entries] largest change of a stationary target in the time `wait`: 20 mm/s, or 0.014 rad/s; chosen
+    # [m, or rotation matrix entries] largest change of a stationary target in the time `wait`: 20 mm/s, or 0.014 rad/s; set by hand
     still: float = 2e-3
-    wait: float = 0.1  # [s] time within which a target that stands still may not move by more than `still`; chosen
+    wait: float = 0.1  # [s] time within which a target that stands still may not move by more than `still`; set by hand
 
 
 GIVEN, ARRIVAL = TargetCodes(), ArrivalThresholds()
@@ -143,10 +143,10 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
     samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `RestState`;
-    how: what is known of the target, a number of `TargetCodes`. posed: bit f is set if tip f has an orientation. first: there was
-    no target before. moved: the former next target becomes the last one. twist, acceleration: whether they are given; if not, the
-    twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns another of these numbers; after
-    GIVEN.doubtful the caller must check the target in full and call again.
+    how: what is known of the target, a number of `TargetCodes`. posed: bit f is set if tip f has an orientation. first: whether
+    there was no target before. moved: whether the former next target becomes the last one. twist, acceleration: whether they are
+    given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns a number of
+    `TargetCodes`, too; after GIVEN.doubtful the caller must check the target in full and call again.
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
@@ -226,8 +226,8 @@ class Stream(CopiesViews):
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target to sample `slot`: 0 (now) or 1 (end of the step); return False if it is not finite.
 
-        Then the last target is kept. twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target. Raises
-        InvalidTarget.
+        If it is not, the last target is kept. twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target.
+        Raises InvalidTarget.
         """
         if dt >= self.pace:
             self.pace, self._second, self._count = dt, 0.0, 0

@@ -62,7 +62,8 @@ class Tracker(CopiesViews, ReadOnly):
         straight: Only with "direct". To a target that jumped and stands still, the tip moves straight. If that takes more than
             `straight` times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
-        options: Of the method, and mask, slack, free_turn, frame, priority, relative_to, length_scale (0.2 m) of `ik.solve`.
+        options: Options of the method, and mask, slack, free_turn, frame, priority, relative_to, length_scale (0.2 m) of
+            `ik.solve`.
 
     Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
     """
@@ -126,7 +127,9 @@ class Tracker(CopiesViews, ReadOnly):
         self._observer, self._rows = JointObserver(n, delay, noise), 0
         self._ordered: tuple = ()  # arguments of the last call of `_order`, which does nothing if they have not changed
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
+        self._goes: Leap | Reconfiguration | None = (
+            None  # what led the last step: a joint move, or None for the tracking method
+        )
         self.reset(q0, rate0=rate0)
         self._seal()
 

@@ -25,7 +25,9 @@ from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
-UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; chosen
+UNLIMITED = (
+    1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; set by hand
+)
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 
@@ -52,7 +54,7 @@ class LimitMargins(NamedTuple):
     inwards: float = 0.1
     # [rad or arm reaches] a joint that misses a viable state by more than this, which exceeds rounding, counts as recovering
     noise: float = 1e-12
-    held_back: float = 0.1  # share of the acceleration limit kept for corrections of a known motion; chosen
+    held_back: float = 0.1  # share of the acceleration limit kept for corrections of a given motion; set by hand
 
 
 @compiled
@@ -301,7 +303,7 @@ def advance(q, rate, x, gamma, h, late, limits, code):
 def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
     """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n) [all rad or arm reaches].
 
-    The joints first follow a known motion to its end: joint values `points` and rates (K, n) at times (K,) [s], cubic in between;
+    The joints first follow the given motion to its end: joint values `points` and rates (K, n) at times (K,) [s], cubic in between;
     `time` is the place on it after this step. Then, or if times is empty, they move straight to the goal. The limits also hold for
     later steps of up to late [s]; code (n,) receives the bits of the limits that held joints back. Returns the least time [s]
     left at full speed, or -1 if a joint is locked or its goal is outside its limits; then nothing has moved.
@@ -345,7 +347,7 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
 
 @inner
 def head_for(q, rate, known, time, gamma, h, limits, x):
-    """Write to x (n,) the rates that bring joints to the point of a known motion (times, points, rates) at `time` [s].
+    """Write to x (n,) the rates that bring joints to the point of a given motion (times, points, rates) at `time` [s].
 
     The rates are those of the motion plus a correction of the distance to its point. The correction is limited to a rate that the
     share MARGIN.held_back of the acceleration limit can brake. If gamma is not 1, a step corrects only half of the distance,
@@ -369,7 +371,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
 
 @cached_small
 def brake(first, gamma, h, late, limits, Q, R, L):
-    """Write the path of a full brake after row `first`; return the index of the row in which all joints rest (at least 1).
+    """Write the path of braking to rest after row `first`; return the index of the row in which all joints rest (at least 1).
 
     Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K, n)
     receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too few. Each joint brakes

@@ -36,7 +36,7 @@ class State(NamedTuple):
     start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
     period: int  # length of the last step [s]
     stop: int  # why the loop ended, a code of `loop.STOP`
-    near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
+    near: int  # at a singular pose 1 + time [s] for which the target still counts as out of reach; -1 after one, 0 before the first
     share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
     lowest: int  # value below which `share` is not lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it

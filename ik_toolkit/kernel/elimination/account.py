@@ -1,12 +1,13 @@
 """Find and certify all roots of the determinant: which are real, and which solutions they give.
 
 det M(q3) is a trigonometric polynomial of degree d (at most 14 here), D = sum c_k z^k, k = -d ... d, z = exp(i q3). Its values at 2
-d + 5 angles give the c_k by a discrete Fourier transform, and two harmonics more than D has: those are nothing but rounding, and
-measure the noise of D. All 2 d roots are found by Ehrlich and Aberth's method (Aberth 1973). A real q3 is a root on the unit
-circle; the others come in pairs z, 1 / conj(z). Each computed root has an error disc that should hold the true one.
+d + 5 angles give the c_k by a discrete Fourier transform, together with two harmonics that D does not have. What is computed for
+these two is only rounding, so they measure the noise of D. All 2 d roots are found by Ehrlich and Aberth's method (Aberth 1973). A
+real q3 is a root on the unit circle; the others come in pairs z, 1 / conj(z). Each computed root has an error disc that should hold
+the true one.
 
-The noise of the determinant is measured, not bounded, so this is a numerical certificate and no interval arithmetic. An answer is
-CERTAIN if every root is one of these:
+The noise of the determinant is measured, not bounded, so the certificate is numerical and not a proof by interval arithmetic. An
+answer is CERTAIN if every root is one of these:
 
 - complex: its error disc misses the unit circle, so that it belongs to no real solution;
 - real: its error disc overlaps no other and touches the circle, and Newton's method from its null vector ends at a solution whose
@@ -274,7 +275,7 @@ def take_pair(d, pose, rank, i, j):
 
 @inner
 def take_root(d, pose, rank, i, lone):
-    """Find the solution of a root on or near the unit circle; return the highest status that the answer may have after it."""
+    """Find the solution of a root on or near the unit circle; return the best status that it leaves possible for the answer."""
     z, radius = d.r.z[i], d.r.radius[i]
     gap = off_circle(z)
     # A root whose error disc overlaps no other is its own partner 1 / conj(z), so the disc must reach the circle.

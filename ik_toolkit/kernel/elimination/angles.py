@@ -64,7 +64,7 @@ def find_null(W, q, null):
 def find_two_nulls(W, q, null):
     """Write the two singular vectors with the smallest singular values of the 12 equations at q3 = q to the rows of null.pair.
 
-    Returns the second and third smallest singular values as shares of the largest. All are computed, by Hestenes' method.
+    Returns the second and third smallest singular values as shares of the largest. All twelve are computed, by Hestenes' method.
     """
     write_matrix(W, q, null.M)
     make_orthogonal(null.M, null.V, SIZES.monomials)
@@ -95,10 +95,11 @@ def find_two_nulls(W, q, null):
 def split_pair(null):
     """Turn null.pair (2, 12) into two vectors of the same span that are vectors of monomials.
 
-    Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. A vector y of monomials has parts with hi(y) = x lo(y),
-    for x4 (entries three apart) and for x5 (one apart). So the two are the eigenvectors of the 2 x 2 matrix that takes lo to hi by
-    least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added, with an arbitrary factor between them.
-    The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is not a special case.
+    Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. In a vector y of monomials, the entries hi(y) with one
+    factor x more are x times the entries lo(y): for x4 they are three places apart, for x5 one. So the two are the eigenvectors of
+    the 2 x 2 matrix that takes lo to hi by least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added,
+    with an arbitrary factor between them. The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is
+    not a special case.
     """
     P, cs, sn = null.pair, math.cos(0.7), math.sin(0.7)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0

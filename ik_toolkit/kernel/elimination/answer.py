@@ -1,4 +1,4 @@
-"""Every solution of each target pose: the orderings of a robot's loop are tried in turn until one answer is certain."""
+"""Every solution of each target pose: the orderings of a robot's loop are tried in turn until one answer is certified."""
 
 # Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -23,7 +23,7 @@ from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 def merge_into(one, whole):
     """Add an ordering's solutions `one` to those in `whole`, both (SIZES.rows, SIZES.columns).
 
-    Returns whether `whole` then has no others.
+    Returns whether `whole` then contains no solution that `one` lacks.
     """
     for k in range(1, int(one[0, 0]) + 1):
         if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
@@ -108,7 +108,7 @@ def motion_to(T, arm, X):
 def use_form(d):
     """Solve for the target in d with the ordering in d.form: by elimination, or by decomposition if its degree d.form[3] is 0.
 
-    Returns the pose and the rank that `set_up` found; of a decomposition the pose of the reordered loop, and 0.
+    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the reordered loop and a rank of 0.
     """
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
@@ -150,7 +150,7 @@ def look_around(d, forms, whole):
 
 @inner
 def all_counted(whole, real):
-    """Return whether an answer has as many solutions as a polynomial has roots not proven complex: there can be no others.
+    """Return whether an answer has as many solutions as there are roots not proven complex, so that there can be no others.
 
     Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
     singular, the result is False, because two entries might be one solution.
@@ -163,7 +163,7 @@ def all_counted(whole, real):
 
 @inner
 def list_near(d, pose, rank, within, whole):
-    """Append approximate solutions to a certain answer: one for each complex root near the unit circle, or for each merged branch.
+    """Append approximate solutions to a certified answer: one for each complex root near the unit circle or each merged branch.
 
     Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the angles
     that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1.
@@ -199,18 +199,19 @@ def list_near(d, pose, rank, within, whole):
 def solve_loops(forms, arm, T, found, values, within):
     """List every solution of N targets, E1(q1) ... E6(q6) = X.
 
-    The orderings of the loop are tried in turn until one is certain, or until roots merge (DOUBLE). Solutions found with the
-    earlier ones stay listed; if they include one that the certain ordering lacks, its certificate is rejected. An answer is
-    certain, too, if it has as many solutions as one ordering's determinant has roots that are not proven complex.
+    The orderings of the loop are tried in turn until one certifies its list, or until roots merge (DOUBLE). Solutions found with
+    earlier orderings stay listed; if the certified list lacks one of them, its certificate is rejected. An answer is also
+    certified if it has as many solutions as one ordering's determinant has roots that are not proven complex.
 
     Args:
         forms: (F, SIZES.whole) orderings of the loop, best first: a `Form` or a `decomposition.Split`, with its tables.
-        arm: (52,) the axes of the joints at q = 0 (6, 6), each its direction and a point; the tip's pose there, its rotation matrix
-            by rows and its point; then the arm's centre (3,) and size [m]. Points are measured from the centre, over the size.
+        arm: (52,) the six joint axes at q = 0 (a direction and a point each), the tip's pose at q = 0 (rotation matrix by rows,
+            then the point), the arm's centre (3,) [m] and its size [m]. Points are measured from the centre and divided by the
+            size.
         T: (N, 4, 4) targets [m].
         found: (N, SIZES.rows, SIZES.columns) answers: a row of `Notes`, then one row per solution with q in [-pi, pi).
-        values: (N, SIZES.samples) receives the determinant of the first ordering, and nothing else is done; (0, SIZES.samples):
-            not.
+        values: (N, SIZES.samples) receives the values of the first ordering's determinant, and nothing is solved. Pass an array
+            of shape (0, SIZES.samples) to solve.
         within: complex roots this near the unit circle give approximate solutions, see `list_near`; 0: none.
     """
     block = np.empty(SIZES.block)

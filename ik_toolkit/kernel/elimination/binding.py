@@ -1,9 +1,9 @@
 """Choose the orderings of a robot's loop for the elimination, by trying all twelve of them on random poses.
 
 The loop equation can be reversed or not, and begun at any of six joints. An ordering is good if its remaining unknown q3 tells the
-solutions apart: with a spherical wrist, joints 1 to 3 have the same values in the two solutions of the wrist, so the unknown must
-be another joint. This is not decided by geometry but by solving for the same poses with each ordering, and counting how many
-solutions it finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
+solutions apart. With a spherical wrist, for example, joints 1 to 3 have the same values in the two solutions of the wrist, so the
+unknown must be another joint. This is not decided by geometry but by solving for the same poses with each ordering, and counting
+how many solutions it finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class OrderingResult(NamedTuple):
 
     row: np.ndarray  # (SIZES.whole,) as `answer.solve_loops` takes it
     real: np.ndarray  # number of real solutions at each pose
-    certain: int  # number of poses with a certificate
+    certain: int  # number of poses at which the list of solutions is certified
     pairs: bool  # whether two solutions had the same value of the remaining unknown q3
     radius: float  # median over the poses of the largest error disc's radius
 
@@ -99,9 +99,10 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
 
 
 def _sure(split: np.ndarray, arm: np.ndarray, Q: np.ndarray, T: np.ndarray) -> int:
-    """Return at how many poses T (N, 4, 4) of configurations Q (N, 6) a decomposition is certain; 0 if it then lacks one of Q.
+    """Return at how many poses T (N, 4, 4), those of the configurations Q (N, 6), a decomposition certifies its list of solutions.
 
-    It lacks them if the arm has a self-motion at every pose, as with two axes on one line.
+    Returns 0 if a certified list lacks the configuration in Q. This happens if the arm has a self-motion at every pose, as with two
+    axes on one line.
     """
     found = answers(split[None], arm, T)
     count, verdict = found[:, :1, 0], found[:, 0, 1]

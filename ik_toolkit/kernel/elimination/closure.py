@@ -153,8 +153,8 @@ def measure_loop(loop, q):
 def close(loop, most, longest, still):
     """Improve loop.q (6,) by Newton's method, and return the largest component of the error that is left.
 
-    No step moves a joint by more than `longest` [rad]. The steps end at the first that moves all joints by less than `still` [rad],
-    after `most` at the latest.
+    No step moves a joint by more than `longest` [rad]. The first step that moves all joints by less than `still` [rad] is the last,
+    and there are at most `most` steps.
     """
     q, move = loop.q, math.inf
     for k in range(most + 1):

@@ -1,9 +1,9 @@
 """Arms whose geometry splits into subproblems, so that all their solutions are branches of at most three square roots.
 
-- A wrist: the last three axes meet. Joints 1 to 3 place the point where they do, and it has solutions by two square roots if axes 2
-  and 3, or 1 and 2, are parallel or meet (Pieper 1968). Joints 4 to 6 give the orientation.
-- Three parallel axes, 2 to 4, and axes 5 and 6 meet: joint 1 alone sets how high the point where axes 5 and 6 meet is along the
-  three parallel axes; their direction then gives joints 5 and 6, and joints 2 to 4 are a planar arm.
+- A wrist: the last three axes meet in a point, which joints 1 to 3 place. Two square roots give these joints if axes 2 and 3, or 1
+  and 2, are parallel or meet (Pieper 1968). Joints 4 to 6 give the orientation.
+- Three parallel axes: axes 2 to 4 are parallel, and axes 5 and 6 meet in a point. Joint 1 alone sets how high this point is along
+  the parallel axes. The direction of these axes then gives joints 5 and 6, and joints 2 to 4 are a planar arm.
 
 "First" and "last" are those of the reordered loop (`closure.reorder`), so that a wrist may be at the base, or in the middle. An arm
 that almost fits is decomposed as if it did, and each branch is refined on the actual arm. The misfit counts as an error of every
@@ -225,7 +225,8 @@ def split_parallel(d, pose, off, near):
 def decompose(d, off, near):
     """Solve for the target in d with the decomposition in d.form and d.mix: write d.found, as an elimination does.
 
-    off: error of every number. near: list only the branches that merge within this error, unrefined.
+    off: the error that every number is assumed to have. near: whether to list only the branches that merge within this error, and
+    not to refine them.
     """
     found = d.found
     for k in range(SIZES.columns):

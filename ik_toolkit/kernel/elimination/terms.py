@@ -35,14 +35,15 @@ class Sizes(NamedTuple):
     rows: int = (
         33  # rows of an answer: `Notes`, and up to 32 solutions (an arm has 16 at most, the rest are repetitions)
     )
-    # Numbers of a solution: q (6,), the gain (`closure.least_gain`), the root q3 [rad]. A decomposition writes instead of the root
-    # 0, or the position (from 1 on) of an angle that is free; the last number is by how much that may turn either way [rad].
+    # Numbers of a solution: q (6,), the gain (`closure.least_gain`), the root q3 [rad], and the range of a free angle. In place of
+    # the root, a decomposition writes the position (from 1 on) of the angle that is free, or 0 if none is. The last number is by
+    # how much that angle may turn either way [rad].
     columns: int = 9
     form: int = 7  # how many numbers a Form, or a `decomposition.Split`, has
     tables: int = 66  # length of two rows: cos and sin of 2 pi k / K
     arm: int = 52  # numbers that describe an arm, see `answer.solve_loops`
     whole: int = 157  # length of a row of `forms` of `answer.solve_loops`: Form, tables and `mix`
-    branches: int = 8  # most branches of a decomposition, from three square roots
+    branches: int = 8  # largest number of branches of a decomposition, from three square roots
     block: int = 4096  # numbers of scratch memory, more than `make_work` needs
 
 
@@ -60,7 +61,7 @@ class CertaintyThresholds(NamedTuple):
         1e-17  # a pivot below this share of the largest is replaced by that share, so that null vectors can be computed
     )
     sweeps: int = 40  # highest number of iterations over all roots; 8 are usual, clusters need 30
-    settled: float = 1e-14  # a root whose relative step is smaller stays where it is: that is rounding
+    settled: float = 1e-14  # a root whose relative step is smaller stays where it is, because such a step is rounding
     quiet: float = 1e-13  # the iteration ends after the largest relative step is below this
     # Smith (1970) bounds the distance of a root by 2 d |P(z)| / |c prod (z - z_j)|. The error of P(z) is the measured noise, with
     # random signs; four times the root of the sum of its squares was never exceeded in 240,000 targets.
@@ -99,7 +100,7 @@ class DecompositionThresholds(NamedTuple):
     """Thresholds that decide when a decomposition must report UNSURE; angles in rad, lengths in units of the arm's size."""
 
     rounding: float = 3e-15  # error of every number of an exactly decomposable arm; 1e-15 occurs
-    off: float = 1e-3  # axes that are further from meeting or being parallel do not count as such
+    off: float = 1e-3  # axes count as meeting, or as parallel, if they miss it by at most this
     band: float = 4.0  # true errors never exceed the estimated error by this factor
     apart: float = 1e-3  # solutions that may be one, or none, must be nearer to each other than this
     still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
@@ -132,8 +133,9 @@ class Notes(NamedTuple):
     count: float  # number of solutions
     status: float  # a number of `Verdicts`
     forms: float  # number of orderings of the loop that were tried; 0 if a decomposition has answered
-    roots: float  # roots of the determinant of the last ordering
-    # number of roots that are proven complex; if the answer is certain, each of the others is a solution
+    # number of roots of the determinant, for the ordering that certified the list, or else for the last one tried
+    roots: float
+    # number of roots that are proven complex; if the list is certified, each of the others is a solution
     complex: float
     radius: float  # radius of the largest error disc of a real root
     noise: float  # noise of the determinant's coefficients relative to the largest

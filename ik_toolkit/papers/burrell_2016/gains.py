@@ -1,6 +1,7 @@
 """The gains of IK-PID in Burrell et al. (2016): how many goals poor gains reach, and which goals the published gains miss.
 
-Also Fig. 4, the effect of the gain for one goal. The published goal is out of reach, so a goal with the same behaviour is searched.
+The section on Fig. 4 shows the effect of the gain for one goal. The published goal is out of reach, so a search finds one with the
+same behaviour.
 """
 
 from typing import Any
@@ -21,7 +22,7 @@ from .published import PAPER_OPTIONS, TO_PAPER, attempt
 # Values of the proportional gain K_p that are compared [degrees per mm].
 GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
 EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
-# A tuning is poor with so few successes of 1000: the paper says "say 20 % of reachable points" in section 4.
+# A tuning with this number of successes of 1000, or fewer, is poor: the paper says "say 20 % of reachable points" in section 4.
 POOR = 200.0
 CANDIDATES, MATCHES = 200_000, 40  # random goals for Fig. 4, and the best of them, which are tried at every gain
 

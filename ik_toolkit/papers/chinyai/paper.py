@@ -255,7 +255,7 @@ def _failures(report: Report, rng: np.random.Generator) -> None:
 
 
 def _proven(target: Any, count: int, steps: int) -> tuple[np.ndarray, np.ndarray, list[Any]]:
-    """Return outcomes as sampled on a grid of starts, those proven after some steps (NaN: not), and a row of the table."""
+    """Return the outcomes from a grid of starts, those proven after `steps` steps (NaN: not proven), and a row of the table."""
     starts = grid(count)
     X = np.tile(target, (len(starts), 1))
     ends = outcomes(planar.converge(X, 1.0, 1.0, starts, planar.PLAIN))

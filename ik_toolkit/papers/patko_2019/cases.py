@@ -97,7 +97,9 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system and a path to follow, with number of steps, initial error (actual - target), and `start`: q at a task position.
+    """A system and a path to follow, with number of steps and initial error (actual - target).
+
+    start: takes a task position (m,) and returns the joint values (n,) there.
 
     third: takes q, x, y (n,) and returns the derivative (m, n) of the system's rate(q, x, y) with respect to q.
     """

@@ -119,7 +119,8 @@ class WeldPlan:
     def torques(self, acceleration: float = 1.0, tip_speed: float = 0.02) -> tuple[Trajectory, np.ndarray, np.ndarray]:
         """Return the motion in time, its joint torques or forces (M, n) [Nm or N] by Pinocchio's rnea, and those of weight alone.
 
-        acceleration: of a joint at most [rad/s^2 or m/s^2]; tip_speed: of the tip [m/s], kept wherever the limits allow.
+        acceleration: largest acceleration of a joint [rad/s^2 or m/s^2]; tip_speed: speed of the tip [m/s], kept wherever the
+        limits allow.
         """
         import pinocchio as pin
 
@@ -145,7 +146,7 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
 
     Raises:
         InvalidOption: No branch joins the windows of all poses, and the message says where; or an argument is wrong.
-        UnknownSolver, InvalidTarget: As `lift_windows`.
+        UnknownSolver, InvalidTarget: As for `lift_windows`.
     """
     require_one_tip(robot, "inspect_weld")
     if not isinstance(canister, Canister | None):
@@ -190,13 +191,14 @@ def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionMo
 
 
 def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dict[int, np.ndarray]:
-    """Return for each branch the lifts (N,) [m] of least travel, the sum of |d_i+1 - d_i|; a branch that has none is left out.
+    """Return for each branch the lifts (N,) [m] with the least travel, the sum of |d_i+1 - d_i|.
 
-    The least is over all d_1 ... d_N with each d_i in a window of pose i, shortened by the margin at both ends, where windows of
-    neighbouring poses overlap. For these poses it is exact: in each region where the order of the lifts and ends does not change
-    the sum is linear, so some best sequence consists of ends of windows, and a shortest path through all ends finds it. Among equal
-    sequences, one that ends in the middle is chosen, and the lift rests as long as possible before. Nothing is said about the lift
-    between the poses, nor about motions that change the branch.
+    Each d_i lies in a window of pose i that is shortened by the margin at both ends, and the windows of successive poses must
+    overlap. A branch without such a sequence is left out. The minimum is exact: between the window ends the sum is piecewise linear
+    in the lifts, so some best sequence consists of window ends, and a shortest path through all window ends finds it. Of several
+    best sequences, the one is taken whose last lift is nearest the middle of all best last lifts. Backwards from there the lift
+    stays where it is as long as that adds no travel. Nothing is said about the lift between the poses, nor about motions that
+    change the branch.
     """
     made = {}
     for k in range(8):
@@ -231,7 +233,10 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
 
 # ----------------------------------------------------------------------------------------------------------- report
 def weld(report: Report, robot: Robot, count: int) -> None:
-    """Add the section to the report, with turns about the line of sight; none is 90 deg, where joint 3 is at its limit."""
+    """Add the section to the report, with `count` turns of the tool about its line of sight.
+
+    None of them is 90 deg, where joint 3 is at its limit.
+    """
     turns = np.radians(360.0 / count * (np.arange(count) + 0.5))
     report.heading("Beyond the paper: the welds of a canister, workspace and torques")
     canister, plans, rows, forces = Canister(), {}, [], []
