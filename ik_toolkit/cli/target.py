@@ -252,7 +252,7 @@ def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 
 def request(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return target and options of the request, for the JSON output."""
+    """Return base, tip and target of a request for the JSON output; for several tips base, targets, and `relative_to` if given."""
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}

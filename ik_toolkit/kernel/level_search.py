@@ -123,7 +123,8 @@ def search_by_levels(rule, p, job, level, plain, excess):
         near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
         patience = start_attempt(p, job, index - int(o.given), excess)
         if phase == PHASE.constrained:
-            # An error below `small` may fall further: another attempt may then meet the tolerance in the same place.
+            # An attempt that comes near the best minimum ends early, as it would end there, too. An error below QUADRATIC.small
+            # may fall further, so that another attempt may meet the tolerance in the same place: then none ends early.
             sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
             known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
             decay = QUADRATIC.decay_later if least < 0.0 else QUADRATIC.decay

@@ -361,7 +361,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 
 @dual
 def settle(p, h, rate_before, x, code, prev):
-    """Write the rates that clipped joints really took to `prev`, the previous command, to prevent wind-up."""
+    """Replace the previous command `prev` of clipped joints by the rate, or for ca the acceleration, that they took: no wind-up."""
     if p.code == LAW.cv or p.code == LAW.ca:
         for i in range(x.shape[0]):
             if code[i] > 0:

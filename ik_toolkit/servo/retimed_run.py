@@ -35,7 +35,7 @@ class RetimingConstants(NamedTuple):
     faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
     joints: float = 1.2  # factor by which the joint limits of a redundant robot are raised for a faster time law
     tip: float = 1.5  # factor by which the allowed error of the tip is raised for a faster time law
-    far_off: float = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
+    far_off: float = 4.0  # An error above so many tolerances has another cause than the linearisation in single steps.
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered

@@ -116,8 +116,8 @@ class Leap:
         if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < ARRIVAL.wait:
             return
         self._place = T[1].copy()
-        # After a smooth motion a joint at its limit means that only another posture can continue.
-        # An operator who locks a joint wants no large moves.
+        # If the target came here smoothly and a joint is at its limit, only another posture can reach further; `Reconfiguration`
+        # finds it. An operator who locks a joint wants no large moves.
         if (not taken.stand[STAND.jumped] and (taken.code & BIT.position).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)

@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter to tune: lower end, upper end and initial value (of one shape), unit, and whether its scale is logarithmic."""
+    """One parameter to tune: its ends and initial value (numbers or arrays), its unit, and whether its scale is logarithmic."""
 
     name: str
     low: Any

@@ -102,7 +102,9 @@ class DecompositionThresholds(NamedTuple):
     rounding: float = 3e-15  # error of every number of an exactly decomposable arm; 1e-15 occurs
     off: float = 1e-3  # axes count as meeting, or as parallel, if they miss it by at most this
     band: float = 4.0  # true errors never exceed the estimated error by this factor
-    apart: float = 1e-3  # solutions that may be one, or none, must be nearer to each other than this
+    apart: float = (
+        1e-3  # [rad] two solutions that errors may have made of one, or of none, must be nearer to each other than this
+    )
     still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
     loose: float = 1e-5  # an angle counts as free only if the numbers that make it so are exact to this
     # A pose displaced by e has complex solutions at most 30 sqrt(e) (`decide.MARGINS.gap`) from real ones. Complex solutions within

@@ -10,7 +10,7 @@ from ...errors import ModelError
 from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
 MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
-# Maps an element that is read to the attributes that it must have; a state without them is left out, with a remark.
+# Maps each element that is read to the attributes that it must have. A <group_state> without its own is left out, with a remark.
 NEEDED = {
     "chain": ("base_link", "tip_link"),
     "link": ("name",),

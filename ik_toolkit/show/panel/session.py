@@ -30,7 +30,7 @@ from .drag_follower import Followed, Hand, prepare
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
 NONE = "no target"  # choice for one of several tips that has no target
 SHOWN = 16  # largest number of solutions listed
-SAMPLES = 8  # number of random configurations, of which at least one is not singular
+SAMPLES = 8  # number of random configurations for the rank of each tip's Jacobian; hardly ever are all of them singular
 PATIENCE = 20  # [s of robot time] for which an arm may move towards a target that is no longer dragged
 
 

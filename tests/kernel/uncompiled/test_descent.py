@@ -43,6 +43,7 @@ def noticed(state, before, x, error=1.0, code=(0, 0), swings=((0.0, 0.0), (1.0, 
     return state
 
 
+FIRST = np.ones(6)  # share of each error's level: all are at level 0
 LIMITS = np.array([[-9.0, -9.0], [9.0, 9.0], [np.inf, np.inf], [np.inf, np.inf]])
 
 
@@ -59,25 +60,29 @@ def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
     at_limit, s = (BIT.position, 0), standing()
     state = new_state()
     for k in range(11):
-        assert not stuck(law(), s, LIMITS, 1.0, H, state), k
+        assert not stuck(law(), s, LIMITS, FIRST, 1.0, H, state), k
         noticed(state, [1.0, 0.0], [1.0, 0.0], code=at_limit)
-    assert stuck(law(), s, LIMITS, 1.0, H, state) and state[STATE.share] == damped_descent.DESCENT.first
-    assert stuck(law(), s, LIMITS, 0.25, H, state), "until the target moves, or is reached"
-    assert not stuck(law(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, 1.0, H, state) and state[STATE.share] == 0.0
+    assert stuck(law(), s, LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == damped_descent.DESCENT.first
+    assert stuck(law(), s, LIMITS, FIRST, 0.25, H, state), "until the target moves, or is reached"
+    assert not stuck(law(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == 0.0
     assert state[STATE.stalled] == 0.0
     state = new_state(share=1.0)
-    assert not stuck(law(), s, LIMITS, 1e-9, H, state) and state[STATE.share] == 0.0
+    near = standing(e=(1e-5,) * 6, ahead=(1e-5,) * 6)
+    assert not stuck(law(), near, LIMITS, FIRST, 6e-10, H, state) and state[STATE.share] == 0.0
+    low = standing(e=(0.01,) * 6, ahead=(0.01,) * 6)
+    low.weight *= 1e-3
+    assert stuck(law(), low, LIMITS, 1e-3 * FIRST, 6e-10, H, new_state(share=1.0)), "at a lower level, as at the first"
     state = new_state(share=1.0, nearest=0.1)
-    assert not stuck(law(), standing(ahead=(1.0 + 1e-7,) * 6), LIMITS, 1.0, H, state), (
+    assert not stuck(law(), standing(ahead=(1.0 + 1e-7,) * 6), LIMITS, FIRST, 1.0, H, state), (
         "it moves, whatever twist was given"
     )
     assert state[STATE.share] == state[STATE.nearest] == 0.0
     state = new_state(share=1.0, stalled=1.0, nearest=1.0)
-    assert not stuck(law(mode=MODE.clip), s, LIMITS, 1.0, H, state), "something else gives way"
+    assert not stuck(law(mode=MODE.clip), s, LIMITS, FIRST, 1.0, H, state), "something else gives way"
     assert state[STATE.share] == 0.0
     state = new_state(stalled=1.0, nearest=1.0)
-    assert not stuck(law(kappa=0.0), s, LIMITS, 1.0, H, state), "nothing is fed back"
-    assert not stuck(law(), s, LIMITS, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
+    assert not stuck(law(kappa=0.0), s, LIMITS, FIRST, 1.0, H, state), "nothing is fed back"
+    assert not stuck(law(), s, LIMITS, FIRST, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
     assert state[STATE.nearest] == pytest.approx(0.998)
 
 
@@ -90,7 +95,7 @@ def test_slow_joints_are_not_stuck_while_they_go_as_fast_as_they_may():
         limits[2] = 1.0, top
         state, ever = new_state(), False
         for k in range(40):
-            ever = stuck(law(), s, limits, (error - 0.002 * H * k) ** 2, H, state) or ever
+            ever = stuck(law(), s, limits, FIRST, (error - 0.002 * H * k) ** 2, H, state) or ever
             noticed(state, [0.0, 1.0], [0.0, 1.0], code=(BIT.position, BIT.velocity))
         assert ever == (share < damped_descent.DESCENT.pace), top
 
@@ -111,14 +116,14 @@ def test_what_hinders_joints():
 def test_joints_that_turn_back_twice_make_it_stuck():
     state = new_state(near=1.0, nearest=1.0)
     noticed(state, [1.0, 0.0], [-1.0, 0.0])
-    assert state[STATE.turned] == 1.0 and not stuck(law(), standing(), LIMITS, 1.0, H, state)
+    assert state[STATE.turned] == 1.0 and not stuck(law(), standing(), LIMITS, FIRST, 1.0, H, state)
     noticed(state, [-1.0, 2.0], [0.05, 2.0])
     assert state[STATE.turned] == pytest.approx(1.0 - H / damped_descent.DESCENT.forgotten), (
         "a twentieth of the motion goes back"
     )
     state[STATE.turned] = 1.0
     noticed(state, [-1.0, 2.0], [0.2, 2.0])
-    assert state[STATE.turned] == 2.0 and stuck(law(), standing(), LIMITS, 1.0, H, state)
+    assert state[STATE.turned] == 2.0 and stuck(law(), standing(), LIMITS, FIRST, 1.0, H, state)
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.0, 1.0)))
     assert state[STATE.turned] == 1.0, "a joint that swings"
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.1, 0.0)))
