@@ -55,7 +55,7 @@ class Settings(NamedTuple):
 
     block: Array
     law: Array  # the method and its gains, in the order of the fields of `Law`
-    # (4, m) of each error: weight; slack (dead band) in arm reaches or rad, and in m or rad; weight of its level relative to level 0
+    # (4, m) weights of errors; slack (dead band) in arm reaches or rad, and in m or rad; weight of its level relative to level 0
     counts: Array
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
     wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
