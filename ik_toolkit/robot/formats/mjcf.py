@@ -114,7 +114,7 @@ class _Writer:
     """Writes one compiled MJCF model as URDF."""
 
     def __init__(self, model: dict[str, Any], name: str, flat: Flat) -> None:
-        self.model, self.flat, self.notes = model, flat, list(flat.notes)
+        self.model, self.flat, self.notes = model, flat, list(dict.fromkeys(flat.notes))
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
