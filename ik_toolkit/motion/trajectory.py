@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..files import as_path, check_arrays, read_json, why_unread, write_table, write_whole
 from ..robot.joints import Joints
 from ..robot.pose_files import read_columns
@@ -220,6 +220,8 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         names, values, t = _joint_table(path)
     except InvalidConfiguration:
         raise
+    except InvalidTarget as error:  # The reader of tables has named the file.
+        raise InvalidConfiguration(f"cannot read the motion: {error}") from None
     except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
     if missing := [joint for joint in robot.joint_names if joint not in names]:

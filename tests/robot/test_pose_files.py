@@ -249,8 +249,9 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
 )
 def test_a_motion_without_rows_says_what_is_missing(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
-    with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}"):
+    with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}") as caught:
         read_motion(robots.load("planar_2r"), tmp_path / name)
+    assert str(caught.value).count(name) == 1
 
 
 def test_a_motion_from_a_spreadsheet_is_read_as_poses_are(tmp_path):
