@@ -84,7 +84,7 @@ class Published:
 
         Returns:
             The packed task parameters, and an array (4, m) with a column for each error: its weight, its slack (dead band) in
-                arm reaches or rad, the same slack in m or rad, and the weight of its level next to level 0.
+                arm reaches or rad, the same slack in m or rad, and the weight of its level relative to level 0.
         """
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []

@@ -73,7 +73,7 @@ def feedback(law, h):
 def stuck(law, s, limits, share, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
-    share (m,): weight of each error's level next to level 0; square: squared weighted error now; `state` is updated. The target
+    share (m,): weight of each error's level relative to level 0; square: squared weighted error now; `state` is updated. The target
     stands still if neither its twist s.f (m,) nor the difference between the errors now (s.e) and at the next sample (s.ahead) is
     noticeable; the twist alone is not enough, because a caller may give a zero twist for a target that moves. In mode clip, which
     keeps to the published laws, the result is always False.

@@ -131,7 +131,7 @@ def record_oscillation(law, s, code, swings, h, state):
 
 @inline
 def weigh_levels(share, s):
-    """Write to s.heavy (m,) the largest weight of an error at each row's level; share: weight of this level next to level 0."""
+    """Write to s.heavy (m,) the largest weight of an error at each row's level; share: weight of this level relative to level 0."""
     for k in range(0, share.shape[0], 3):  # A level consists of positions and orientations, three errors each.
         most = 0.0
         for j in range(0, share.shape[0], 3):

@@ -241,7 +241,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
 def _coloured(
     scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
 ) -> None:
-    """Draw a trail in pieces of one colour each, by the values at its points (NaN: orange); none is drawn across a break."""
+    """Draw a trail in pieces coloured by the values at its points, or in orange if no value is known; none crosses a break."""
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
