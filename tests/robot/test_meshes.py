@@ -97,9 +97,17 @@ def test_one_rule_for_check_pictures_and_collisions(place):
     os.symlink(folder / "loop.stl", folder / "loop.stl")
     os.symlink(place / "secret", folder / "way")
     os.mkfifo(folder / "pipe.stl")
-    for name in ("a.stl", "./a.stl", f"{folder}/a.stl", f"file://{folder}/a.stl", "package://robot/a.stl", "in.stl"):
+    (folder / "my a.stl").write_text(STL)
+    files = ["a.stl", "./a.stl", f"{folder}/a.stl", "package://robot/a.stl", "in.stl", "my a.stl", "my%20a.stl"]
+    for name in [*files, f"file://{folder}/a.stl", f"file:{folder}/a.stl", f"file://{folder}/my%20a.stl"]:
         assert refusals(name, folder) == ("", "", ""), name
-    outside = ["../secret/a.stl", f"{place}/secret/a.stl", f"file://{place}/secret/a.stl", "package://../secret/a.stl"]
+    outside = [
+        "../secret/a.stl",
+        f"file:{place}/secret/a.stl",
+        f"{place}/secret/a.stl",
+        f"file://{place}/secret/a.stl",
+        "package://../secret/a.stl",
+    ]
     for name in [*outside, "package://robot/../../secret/a.stl", "out.stl", "way/a.stl"]:
         said = (
             "is a link that leads outside the allowed folders"
@@ -112,6 +120,7 @@ def test_one_rule_for_check_pictures_and_collisions(place):
     others = {
         "loop.stl": "is not there",
         "pipe.stl": "is not there",
+        "%2e%2e/secret/a.stl": "is not there",
         "r.urdf": "is not a supported format",
         "http://x/a.stl": "network",
     }

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -92,6 +93,8 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
+    if not separator and name.startswith("file:/"):  # an absolute path without a host, as in file:/tmp/arm.stl
+        scheme, separator, rest = name.partition(":")
     if not name or "\0" in name:
         raise ModelError("has no usable file name")
     if separator and scheme not in ("package", "model", "file"):
@@ -107,6 +110,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         ]
     else:
         places = [os.path.join(folder, rest if separator else name) for folder in folders]
+    places += [unquote(place) for place in places if "%" in place]  # URLs write a space as %20
     inside = [place for place in places if lies_in(Path(os.path.normpath(place)), folders)]
     if not inside:
         raise ModelError(
