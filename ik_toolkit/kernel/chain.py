@@ -17,17 +17,17 @@ from .records import POINTS, SIZE, Array, Ends
 from .starts import DISTANCE, FEATURES, PAD, SEEDS, known_configurations
 
 __all__ = ["ROW", "Chain", "pack"]
-WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
+WINDING = 5 * TAU  # During a search, an endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
 TURNING = 1e4  # A revolute joint with a wider range [rad] counts as endless when random starts are drawn.
 LONGEST_UNIT = 1e4  # largest internal unit of length [m], unless the links are longer
-LEAST_REACH = 1e-10  # A sum of link lengths [m] below this is only rounding, so the reach is set to 1 m.
+LEAST_REACH = 1e-10  # A sum of link lengths below this [m] is only rounding, and the reach is then set to 1 m.
 
 
 @cached
 def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
     """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n) [rad or m].
 
-    J is (N, 6, n), or (0, 6, n) to skip the Jacobians. unit (n,): size of an internal unit of each coordinate [rad or m].
+    J is (N, 6, n), or (0, 6, n) to skip the Jacobians. rows, ends and unit are arrays of the chain, see `Chain`.
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -59,7 +59,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
 
 
 def poses_at(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n)."""
+    """Return tip poses (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n); other arrays as in `Chain`."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
     forward_kinematics(rows, ends, Q, unit, T, J)
@@ -67,7 +67,7 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return what `poses_at` returns, by numpy instead of compiled code, so that loading a robot compiles nothing."""
+    """Return what `poses_at` returns, computed by numpy instead of compiled code, so that loading a robot compiles nothing."""
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
     for M, flat in ((base, ends[:12]), (tip, ends[12:24])):
@@ -163,7 +163,7 @@ def start_range(
 
 
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
-    """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
+    """Return features (13, N + PAD) of configurations `seeds` (N, n), which `starts.nearest_seeds` compares with a target.
 
     The features are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, each with a
     factor. Their scalar product with a target's pose is thus a squared distance, up to a constant.
@@ -183,7 +183,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 def coordinate_numbers(
     lower: np.ndarray, upper: np.ndarray, home: np.ndarray, slides: np.ndarray, turns: np.ndarray, scale: float
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
-    """Return the units (n,) of coordinates, their seven properties (n,) in `records.Ends`, and the range of starts, low and high.
+    """Return the units (n,) of coordinates, their seven properties in `records.Ends`, and the range of starts, low and high (n,).
 
     lower, upper, home (n,) [rad or m]; slides, turns (n,): whether a coordinate is a length, and whether it may wrap by 2 pi.
     """
@@ -199,16 +199,16 @@ def resize(rows: np.ndarray, slides: np.ndarray, factor: float) -> None:
     """Multiply all lengths in the geometry `rows` (L, 10) by a factor, in place; slides (n,): whether a coordinate is a length."""
     rows[:, [2, 3, 7]] *= factor
     follows = ~slides[rows[:, 8].astype(int)] & (rows[:, 9] == 0.0)
-    rows[follows, 6] *= factor  # A prismatic joint that follows a revolute one has a length as ratio.
+    rows[follows, 6] *= factor  # The ratio of a prismatic joint that mimics a revolute one is a length per radian.
 
 
 def lengths_only(rows: np.ndarray, n: int) -> np.ndarray:
-    """Return whether each of n coordinates moves prismatic joints only (n,)."""
+    """Return an array (n,): whether each of n coordinates moves prismatic joints only; rows: (L, 10) geometry."""
     return ~np.isin(np.arange(n), rows[rows[:, 9] > 0.0, 8])
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [internal units]."""
+    """Return the six bounds listed at `records.Ends.bound` for coordinates within lower, upper (n,); tip (12,): as for `pack`."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -217,7 +217,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return a lower bound on the distance between a chain's two ends: the longest part less the sum of all others."""
+        """Return a lower bound on the distance of a chain's ends: its longest part less all others at their longest, `rest`."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -286,8 +286,8 @@ def pack(
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Some files give a prismatic joint a stroke of 1000 km to say "far". With so long a unit, a tolerance of 1e-6 m would be lost
-    # in rounding.
+    # Some files give a prismatic joint a stroke of 1000 km to say "far". If that were the unit of length, a tolerance of 1e-6 m
+    # would be lost in rounding.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     resize(rows, slides, 1.0 / scale)
@@ -304,7 +304,7 @@ def pack(
 
 @cached
 def joint_levers(rows, ends, Q, unit, D) -> None:
-    """Fill D (N, L) with the distances [m] of the tip from the axis of each joint at Q (N, n) [rad or m]."""
+    """Fill D (N, L) with the distances [m] of the tip from each joint's axis at Q (N, n) [rad or m]; other arrays as in `Chain`."""
     n = Q.shape[1]
     size, angles = room(rows.shape[0])
     q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
@@ -318,16 +318,16 @@ def joint_levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # number of precomputed starts for several tips; each tip picks the values of its own joints from them
+ROWS = 2048  # number of precomputed starts for several tips; the joints of each tip start at a row chosen for this tip
 
 
 class TreeChain(NamedTuple):
     """The chains of F tips over n shared coordinates, as arrays for the compiled code."""
 
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    # (F, ...) for each tip: `records.Ends`, its number of rows, and n flags (1 if the coordinate moves the tip)
+    # (F, K) for each tip: `records.Ends`, number of joints of its chain, and n flags (1 if the coordinate moves the tip)
     ends: Array
-    # (N, n) precomputed starts; each tip picks the values of its own joints, and one of the tips those of shared joints.
+    # (N, n) precomputed starts; a joint that moves several tips starts at the row chosen for one of them
     seeds: Array
     features: Array  # (F, 13, N + PAD) tip poses at the seeds, to find those nearest a target, see `table`
     unit: Array  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
@@ -339,13 +339,13 @@ class TreeChain(NamedTuple):
 
     @property
     def turns(self) -> Array:
-        """Return (n,): 0 if a coordinate never wraps, 1 if it wraps inside its limits, 2 if it is endless."""
+        """Return an array (n,): 0 if a coordinate never wraps by 2 pi, 1 if it wraps inside its limits, 2 if it is endless."""
         n = len(self.lower)
         return self.ends[0, POINTS + 2 * n : POINTS + 3 * n]
 
     @property
     def parts(self) -> list[Array]:
-        """Return the geometry (L, 10) of each tip's chain."""
+        """Return a list with the geometry of each tip's chain, an array (L, 10) for L joints."""
         return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
@@ -360,12 +360,12 @@ class TreeChain(NamedTuple):
 
 
 def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
-    """Split the joint rows of a tree over n coordinates into those of each tip's chain."""
+    """Return the geometry of each tip's chain, cut from the rows (L, 10) of a tree over n coordinates; ends as in `TreeChain`."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
 def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
-    """Join the chains of all tips, one for each, with a common internal unit of length.
+    """Return the chains of several tips, joined with a common internal unit of length; for one tip, its chain itself.
 
     places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
     """

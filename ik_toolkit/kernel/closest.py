@@ -22,12 +22,14 @@ from .vectors import dot, largest
 class Descent(NamedTuple):
     """Constants of the minimisation, a Levenberg-Marquardt method whose damping is a multiple of the squared error."""
 
-    first: float = 0.1  # initial multiple: the damping divided by the squared error
-    least: float = 1e-6  # smallest multiple; it bounds the steps at singular poses
-    most: float = 1e9  # largest multiple; the method ends if even the short step it leads to does not lower the error
-    lowered: float = 0.3  # factor on the multiple after a step that lowers the error
-    raised: float = 4.0  # factor on the multiple after a step that does not lower the error
-    evaluations: int = 500  # largest number of evaluations (0.3 us each)
+    first: float = 0.1  # damping of the first step, as a multiple of the squared error
+    least: float = 1e-6  # least such multiple, which bounds the steps at singular poses
+    most: float = (
+        1e9  # greatest such multiple; the method ends if even the short step that it gives does not lower the error
+    )
+    lowered: float = 0.3  # what the multiple is multiplied by after a step that lowers the error
+    raised: float = 4.0  # what the multiple is multiplied by after a step that does not lower the error
+    evaluations: int = 500  # highest number of evaluations of the errors (0.3 us each)
     smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
 
 
@@ -36,7 +38,10 @@ DOWN = Descent()
 
 @inline
 def weighed(p, e, factor):
-    """Write the errors of an evaluation e, positions multiplied by `factor`, to p.desk.y; return their squared norm."""
+    """Write the errors of a problem p to p.desk.y (m,), positions multiplied by `factor`; return their squared norm.
+
+    e: what `p.evaluate` returned.
+    """
     y, total = p.desk.y, 0.0
     p.stack(e)
     for k in range(y.shape[0]):
@@ -50,6 +55,7 @@ def held_wrongly(s, error, weights, box):
     """Return whether the joints that are held at a limit by mistake could lower the error faster than the free joints.
 
     A joint at a limit is held by mistake if the error falls as the joint leaves the limit. The sums of squared slopes are compared.
+    s: `Desk`, whose w is 0 for a joint that is held; error (m,): the errors; weights (n,): joint weights; box: joint limits.
     """
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
@@ -68,7 +74,8 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 
     By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
     that ought to leave its limit. If that matters (`held_wrongly`), or if `pressed` is set, it instead holds the joints at a limit
-    that the gradient of the error pushes outwards.
+    that the gradient of the error pushes outwards. p: the problem; error (m,): its errors; weights (n,): joint weights; box: joint
+    limits.
     """
     s = p.desk
     copy(weights, s.w)
@@ -88,7 +95,10 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Do the work of `approach_targets` for one target, whose arrays are given as views; block: scratch memory."""
+    """Lower the error of one failed search, and return the squared error at the new q: `approach_targets` for one target.
+
+    The arrays are given as views; steps: highest number of evaluations; block: scratch memory.
+    """
     o = read(Orders, orders)
     first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
