@@ -21,7 +21,7 @@ from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 
 @inner
 def merge_into(one, whole):
-    """Add an ordering's solutions `one` to those in `whole`, both (SIZES.rows, SIZES.columns).
+    """Add the solutions of one ordering of the loop, in `one`, to those in `whole`, both (SIZES.rows, SIZES.columns).
 
     Returns whether `whole` then contains no solution that `one` lacks.
     """
@@ -33,7 +33,7 @@ def merge_into(one, whole):
 
 @compiled
 class Work(NamedTuple):
-    """All arrays used to solve for one target with one ordering of the loop."""
+    """All arrays that are used to solve for one target with one ordering of the loop."""
 
     target: Array  # (12,) rigid motion from the tip's pose at q = 0 to the target
     loop: JointLoop
@@ -44,13 +44,13 @@ class Work(NamedTuple):
     N: Array  # (9, 9) scratch for `equations.determinant`
     form: Array  # (SIZES.form,) the ordering of the loop that is being solved, see `terms.Form`
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
-    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6
+    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6, see `equations.reduce`
     found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
 
 
 @build
 def make_work(block, axes):
-    """Make the Work arrays from a block of memory."""
+    """Return the arrays of `Work`, cut from the memory `block`; axes: (6, 6) joint axes at q = 0."""
     block[0] = 0.0
     target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
@@ -70,7 +70,7 @@ def make_work(block, axes):
 
 @inner
 def load(d, form):
-    """Copy one ordering of the loop, a row of `forms` of `solve_loops`, to d.form, d.tables and d.mix."""
+    """Copy one ordering of the loop, a row `form` of `forms` of `solve_loops`, to d.form, d.tables and d.mix (d: `Work`)."""
     for k in range(SIZES.form):
         d.form[k] = form[k]
     for i in range(2):
@@ -83,7 +83,10 @@ def load(d, form):
 
 @inline
 def sharpened(R):
-    """Return an almost orthonormal matrix with its error squared: R (3 - R'R) / 2 (Newton's method for the polar factor)."""
+    """Return an almost orthonormal matrix R (M3) made more exact: R (3 - R'R) / 2, by which its error is squared.
+
+    This is a step of Newton's method for the polar factor.
+    """
     a, b, c = R.x.dot(R.y), R.x.dot(R.z), R.y.dot(R.z)
     x = R.x * (1.5 - 0.5 * R.x.square()) - (R.y * a + R.z * b) * 0.5
     y = R.y * (1.5 - 0.5 * R.y.square()) - (R.x * a + R.z * c) * 0.5
@@ -92,7 +95,10 @@ def sharpened(R):
 
 @inner
 def motion_to(T, arm, X):
-    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm (52,): as for `solve_loops`."""
+    """Write to X (12,) the motion that takes the tip from its pose at q = 0 to the target T (4, 4) [m].
+
+    X is a rotation matrix by rows, then a translation; arm: (52,) geometry, as for `solve_loops`.
+    """
     R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
     # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
     R = sharpened(sharpened(R))
@@ -106,9 +112,9 @@ def motion_to(T, arm, X):
 
 @inner
 def use_form(d):
-    """Solve for the target in d with the ordering in d.form: by elimination, or by decomposition if its degree d.form[3] is 0.
+    """Solve for the target in d (Work) with the ordering in d.form: by elimination, or by decomposition if its degree is 0.
 
-    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the reordered loop and a rank of 0.
+    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the loop and a rank of 0.
     """
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
@@ -118,7 +124,10 @@ def use_form(d):
 
 @inner
 def nudge(d, angle):
-    """Write to d.loop.X the target turned by a small angle [rad] and moved by a similar share of the arm's size."""
+    """Write to d.loop.X the target of d (Work) turned by a small angle [rad] and moved by a similar share of the arm's size.
+
+    An angle of 0 restores the target itself.
+    """
     pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # the axis of the displacement is an arbitrary unit vector
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
     turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
@@ -130,9 +139,10 @@ def nudge(d, angle):
 def look_around(d, forms, whole):
     """Add to an uncertain answer the solutions of slightly displaced poses, brought back to the target by Newton's method.
 
-    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing.
+    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing. d: `Work`;
+    forms: orderings of the loop; whole: (SIZES.rows, SIZES.columns) the answer.
     """
-    for k in range(8):  # four poses, with each of the two best orderings
+    for k in range(8):  # This tries four poses with each of the two best orderings.
         f = k // 4
         if f < forms.shape[0]:
             load(d, forms[f])
@@ -153,7 +163,8 @@ def all_counted(whole, real):
     """Return whether an answer has as many solutions as there are roots not proven complex, so that there can be no others.
 
     Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
-    singular, the result is False, because two entries might be one solution.
+    singular, the result is False, because two entries might be one solution. whole: (SIZES.rows, SIZES.columns) the answer; real:
+    number of roots not proven complex.
     """
     for k in range(1, int(whole[0, 0]) + 1):
         if whole[k, 6] < TRUST.singular:
@@ -166,7 +177,8 @@ def list_near(d, pose, rank, within, whole):
     """Append approximate solutions to a certified answer: one for each complex root near the unit circle or each merged branch.
 
     Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the angles
-    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1.
+    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1. d: `Work`; pose,
+    rank: from `use_form`; within: largest distance of such a root from the circle; whole: (SIZES.rows, SIZES.columns) the answer.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
     if n == 0:
@@ -184,7 +196,7 @@ def list_near(d, pose, rank, within, whole):
             whole[0, 7] = -1.0
             return
         if size(z) > 1.0:
-            continue  # Its partner 1 / conj(z) is listed instead.
+            continue  # Its partner 1 / conj(z), inside the circle, is listed instead.
         root = math.atan2(z.imag, z.real)
         find_null(d.e.W, root, d.null)
         find_angles(d.e, rank, pose, root, d.null.x, d.null)
