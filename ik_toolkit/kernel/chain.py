@@ -112,7 +112,7 @@ class Chain(NamedTuple):
     rows: np.ndarray  # (L, 10) geometry, one joint a row; the columns are listed at `kinematics.ROW`
     ends: np.ndarray  # one flat array: base and tip frames, joint limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) tip pose at each seed, to find the seeds nearest a target, see `table`
+    features: np.ndarray  # (13, 272) tip pose at each of `seeds`, to find those nearest a target, see `table`
     unit: np.ndarray  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
     lower: np.ndarray  # (n,) lower limits [rad or m]
     upper: np.ndarray  # (n,) upper limits [rad or m]

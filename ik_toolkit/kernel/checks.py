@@ -28,8 +28,8 @@ class StatusCodes(NamedTuple):
     bad_target: int = 8
     bad_start: int = 9
     too_far: int = 11
-    # An attempt without a final status has one of three others: it continues (going), no joint of it moves any more (still;
-    # `search.conclude` finds out why), or it has come near the best minimum found so far (known).
+    # An attempt that has no final status yet has one of these: going (it continues), still (no joint moves any more;
+    # `search.conclude` finds out why) or known (it has come near the best minimum found so far).
     going: int = -1
     still: int = -2
     known: int = -3

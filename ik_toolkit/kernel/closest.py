@@ -22,13 +22,11 @@ from .vectors import dot, largest
 class Descent(NamedTuple):
     """Constants of the minimisation, a Levenberg-Marquardt method whose damping is a multiple of the squared error."""
 
-    first: float = 0.1  # damping of the first step, as a multiple of the squared error
-    least: float = 1e-6  # least such multiple, which bounds the steps at singular poses
-    most: float = (
-        1e9  # greatest such multiple; the method ends if even the short step that it gives does not lower the error
-    )
-    lowered: float = 0.3  # what the multiple is multiplied by after a step that lowers the error
-    raised: float = 4.0  # what the multiple is multiplied by after a step that does not lower the error
+    first: float = 0.1  # damping of the first step, divided by the squared error
+    least: float = 1e-6  # least damping, divided by the squared error; it bounds the steps at singular poses
+    most: float = 1e9  # greatest damping, divided by the squared error; the method ends if even its short step does not lower the error
+    lowered: float = 0.3  # by how much the damping is multiplied after a step that lowers the error
+    raised: float = 4.0  # by how much the damping is multiplied after a step that does not lower the error
     evaluations: int = 500  # highest number of evaluations of the errors (0.3 us each)
     smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
 

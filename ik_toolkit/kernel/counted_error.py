@@ -134,7 +134,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != AXES.base:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # The vector `own` becomes a row of the matrix G: axis' G, the transpose of G' axis.
+        if turns:  # The vector `own` becomes a row of the matrix G, the product axis' G.
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -151,7 +151,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        # The vector `others` becomes a row of the transpose of G: axis' G'.
+        # The vector `others` becomes a row of the transpose of G, the product axis' G'.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == AXES.target else others) * w)
     put3(kept, IN.arm, linear if frame == AXES.tip else none)

@@ -28,9 +28,9 @@ def _problem_on(block, rows, ends, tasks, n, orders):
 
 
 def shaped(ends, T, tips):
-    """Return the numbers `ends` as they are if the targets T are (N, 4, 4), for one tip, or with a row for each tip.
+    """Return the numbers `ends` as they are for one tip, where targets T are (N, 4, 4), or as one row a tip.
 
-    There are several tips if T is (N, F, 4, 4).
+    For several tips T is (N, F, 4, 4).
     """
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 

@@ -93,9 +93,9 @@ def column(rows, joints, i, tip):
 
 @inner
 def aim(ends, T, goal):
-    """Write to goal (12,) where a target T (4, 4) [m, base axes] wants the arm, in the frame of the first joint.
+    """Write to goal (12,) the pose that a target T (4, 4) [m, base axes] asks for, in the frame of the first joint.
 
-    These are the rotation of the last joint (9), by rows, and the position of the tip (3). ends: `Ends`.
+    It consists of the rotation of the last joint (9), by rows, and the position of the tip (3) [over the reach]. ends: `Ends`.
     """
     base = rotation_at(ends.flat, 0)
     point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())

@@ -32,8 +32,8 @@ class Minimum(NamedTuple):
 
     ee: float  # number by which configurations are compared, see `rank_errors`
     beside: float  # squared error of the level that comes after the one measured by `ee`
-    agreed: int  # number of attempts that found it
-    found: int  # number of the attempt that found it first
+    agreed: int  # number of attempts that have found this minimum
+    found: int  # number of the attempt that found this minimum first
     met: bool  # whether all levels are in tolerance
 
 

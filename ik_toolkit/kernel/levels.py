@@ -34,12 +34,9 @@ class LevelSteps(NamedTuple):
     # are left then, such as the free turn of a tool whose axis is rounded in the description: a whole turn changes the error by
     # microradians.
     small: float = 1e-8
-    damping: float = (
-        0.02  # damping of the step onto the constraint, as a share of the squared error (as in the solver `lm`)
-    )
-    least_damping: float = (
-        1e-9  # least damping of that step; it keeps the multipliers finite where the Jacobian is singular
-    )
+    # damping of the step onto the constraint, as a share of the squared error (as in the solver `lm`)
+    damping: float = 0.02
+    least_damping: float = 1e-9  # least damping of the step onto the constraint; it keeps the multipliers finite where the Jacobian is singular
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
     pivot: float = 1e-5
     # A level acts along directions with at least this curvature, in which a joint may still change the error by micrometres;
@@ -48,23 +45,24 @@ class LevelSteps(NamedTuple):
     longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
-    # the same share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
+    # the same if level 0 is out of reach; this share is small because errors of level 0 come before those of the next level
     same_reach: float = 1e-5
     # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it; of those
     # attempts 1 in 35 would have ended elsewhere (SO-100 and SO-101, 200 targets each)
     near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
-    agree_reach: int = 6  # the same number if level 0 is out of reach, where minima are close to one another
+    # number of attempts that must have found the best minimum if level 0 is out of reach, where minima are close together
+    agree_reach: int = 6
     most: int = 20  # number of attempts after which the search ends if any of them has reached level 0
     # how many attempts, the first ones, treat all errors as one level, if there are at least as many joints as errors that count
     at_once: int = 48
-    # the same number with fewer joints, if these can change no more errors than there are joints (the pose of a planar arm);
-    # without such attempts, 8 of 400 reachable poses of planar_3r are missed
+    # how many attempts, the first ones, treat all errors as one level if there are fewer joints, and these can change no more
+    # errors than there are joints (the pose of a planar arm); without them, 8 of 400 reachable poses of planar_3r are missed
     at_once_few: int = 3
-    table: int = (
-        2048  # number of precomputed starts; with only 256, 2 % fewer of the best minima are found on five joints
-    )
-    # the same number from six joints on; 512 starts find as many minima there, and to scan 2048 takes as long as five iterations
+    # number of precomputed starts; with only 256, 2 % fewer of the best minima are found on five joints
+    table: int = 2048
+    # number of precomputed starts from six joints on; 512 find as many minima as 2048, which take as long to scan as five
+    # iterations
     table_six: int = 512
     known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
     # An attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the

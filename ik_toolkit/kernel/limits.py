@@ -17,7 +17,8 @@ LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division
 class LimitRows(NamedTuple):
     """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
 
-    lowest: int = 0  # `lower` and `upper` are methods of kernel records, whose names no field may have
+    # not `lower`: no field may have the name of a method of another record of the kernel, such as `Ends.lower`
+    lowest: int = 0
     highest: int = 1
     speed: int = 2
     acceleration: int = 3

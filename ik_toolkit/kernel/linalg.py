@@ -322,7 +322,7 @@ def triangle(V, count, m, scales, order, share):
         inverse = 1.0 / v
         for n in range(k + 1, m):
             V[k, n] *= inverse
-        scales[k] = -v / end  # 2 / (v' v) for the reflection's vector, whose first number is 1
+        scales[k] = -v / end  # This is 2 / (v' v) for the vector v of the reflection, whose first number is 1.
         for c in range(k + 1, count):
             reflect_row(V, scales, k, V[c], m)
         V[k, k] = end

@@ -29,22 +29,18 @@ class Objectives(NamedTuple):
 class Steps(NamedTuple):
     """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
 
-    influence: float = (
-        1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm than this.
-    )
-    volume: float = (
-        1e-30  # least squared pivot of JJ', J being the Jacobian; it keeps the logarithm finite at a singular pose
-    )
+    # The joints can change an error if its row of the Jacobian has a larger squared norm than this.
+    influence: float = 1e-18
+    # least squared pivot of JJ', J being the Jacobian; it keeps the logarithm finite at a singular pose
+    volume: float = 1e-30
     corrections: int = 6  # highest number of steps back onto the target; convergence is quadratic, so 2 or 3 suffice
-    difference: float = (
-        1e-6  # step by which the manipulability is differentiated numerically [rad, or length over the reach]
-    )
+    # step by which the manipulability is differentiated numerically [rad, or length over the reach]
+    difference: float = 1e-6
     smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad, or length over the reach]
     # largest move of a joint in a step [rad, or length over the reach], because the null space is curved
     longest: float = 0.3
-    single: float = (
-        1e-24  # A row of the Jacobian counts as zero if its squared norm is below this share of the largest one.
-    )
+    # A row of the Jacobian counts as zero if its squared norm is below this share of the largest one.
+    single: float = 1e-24
     # Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
     damping: float = 1e-10
 

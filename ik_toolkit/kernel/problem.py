@@ -94,10 +94,10 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position [lengths over the reach] and rotation, in the measures for targets of a kind.
+    """Return the squared tolerances of position [over the reach] and rotation for targets of a kind of `TargetKinds`.
 
-    Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts. orders: an `Orders`; kind: a
-    number of `TargetKinds`; scale: internal unit of length [m].
+    Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts. orders: an `Orders`; scale:
+    internal unit of length [m].
     """
     tol_p = orders.tol_p / scale
     return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == KIND.part else chord(orders.tol_r)

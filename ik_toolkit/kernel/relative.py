@@ -7,10 +7,10 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# The next three are indices in an array (LINK,) that describes a target fixed to another tip.
+# TURN, POINT and FRAME are indices in an array (LINK,), which describes a target fixed to another tip.
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
-FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
+FRAME = 12  # pose (12) of the other tip's first joint, in the frame of the first joint of the tip that has the target
 LINK = 24  # length of the array (LINK,)
 
 

@@ -77,7 +77,7 @@ class Patience(NamedTuple):
 
     iterations: float  # highest number of iterations
     ceiling: float  # squared error above which the attempt is given up in its first iteration
-    decay: float  # factor of the bound in each iteration
+    decay: float  # what that squared error is multiplied by in each further iteration
     # An attempt nearer than this to `SearchInput.closest` [squared distance] ends, because it would end there (0: never).
     known: float
 
@@ -341,7 +341,8 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[SIZE.orders : first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # Both read the first tip's limits, because all tips have the same.
+    # Both read the limits of the first tip, because all tips have the same limits.
+    box, near = Ends(ends, n), Ends(near_ends, n)
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)

@@ -150,10 +150,7 @@ class Serial(NamedTuple):
         return self.evaluate(q)
 
     def undo(self, look):
-        """Evaluate at desk.q again, after the caller has restored it, because `try_out` changed the matrices for the Jacobian.
-
-        These are in `kept`.
-        """
+        """Evaluate again at desk.q, which the caller has restored: `try_out` has changed `kept`, which the Jacobian needs."""
         if int(self.task[WHAT.kind]) > KIND.position:
             self.try_out(self.desk.q)
 

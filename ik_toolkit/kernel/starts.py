@@ -37,9 +37,9 @@ DISTANCE = DistanceWeights()
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
     """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
 
-    Half of the configurations are moved halfway towards `home` (n,), because people expect answers near home. BEST rows that are
-    moved and BEST that are not alternate, so half of each group of `nearest_seeds` is moved. The seed is uncommon, so that no
-    target that a user draws with default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards `home` (n,), because people expect answers near home. Blocks of BEST rows
+    are moved and not moved in turn, so half of each group of `nearest_seeds` is. The seed is uncommon, so that no target that a
+    user draws with default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
