@@ -21,12 +21,12 @@ class Null(NamedTuple):
     """Scratch for null vectors of the 12 equations in equations.py, and for the angles that follow from them."""
 
     M: Array  # (12, 12) the matrix of the 12 equations at one q3
-    V: Array  # (12, 12) right singular vectors, one a column
-    swaps: Array  # (12,) the row that the factorisation has exchanged with each row
+    V: Array  # (12, 12) right singular vectors of M, one a column
+    swaps: Array  # (12,) for each k, the row that was exchanged with row k when M was factored
     x: Array  # (12,) a null vector
-    pair: Array  # (2, 12) two null vectors of one matrix, at last those whose entries are monomials of the half angles
+    pair: Array  # (2, 12) two null vectors of M; `split_pair` replaces them by vectors of monomials
     monomials: Array  # (14,) right side for the monomials of joints 1 and 2
-    t: Array  # (6,) joint angles, in the order of the loop that starts at another joint (closure.reorder)
+    t: Array  # (6,) joint angles [rad] in the order of the reordered loop, see `closure.reorder`
 
 
 @inner
@@ -201,7 +201,7 @@ def find_angles(e, rank, pose, q, x, null):
 
 @inline
 def factor_of(k, q):
-    """Return 1, cos q or sin q for k = 0, 1 or 2."""
+    """Return 1, cos q or sin q for k = 0, 1 or 2: a factor of a product of such functions of the joint angles."""
     return 1.0 if k == 0 else math.cos(q) if k == 1 else math.sin(q)
 
 

@@ -128,7 +128,7 @@ def nudge(d, angle):
 
     An angle of 0 restores the target itself.
     """
-    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # the axis of the displacement is an arbitrary unit vector
+    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # The axis of the displacement is an arbitrary unit vector.
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
     turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
     put_axes(d.loop.X, 0, turn)
@@ -142,7 +142,7 @@ def look_around(d, forms, whole):
     Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing. d: `Work`;
     forms: orderings of the loop; whole: (SIZES.rows, SIZES.columns) the answer.
     """
-    for k in range(8):  # This tries four poses with each of the two best orderings.
+    for k in range(8):  # Four displaced poses are tried, each with the two best orderings.
         f = k // 4
         if f < forms.shape[0]:
             load(d, forms[f])

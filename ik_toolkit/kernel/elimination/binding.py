@@ -35,7 +35,7 @@ class OrderingResult(NamedTuple):
     row: np.ndarray  # (SIZES.whole,) the ordering, as `answer.solve_loops` takes it
     real: np.ndarray  # (N,) number of real solutions at each pose
     certain: int  # number of poses at which the list of solutions is certified
-    pairs: bool  # whether two solutions had the same value of the remaining unknown q3
+    pairs: bool  # whether two solutions of a pose had the same q3, the angle that the determinant is a polynomial in
     radius: float  # median, over the poses, of the radius of the largest error disc
 
 
@@ -53,7 +53,7 @@ def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the tip's pose (4, 4) [m] at q (6,), the product of E1(q1) ... E6(q6) and the pose at q = 0."""
+    """Return the tip's pose (4, 4) [m] of an arm (52,) at q (6,), the product of E1(q1) ... E6(q6) and the pose at q = 0."""
     R, p = np.eye(3), np.zeros(3)
     for (x, y, z, *point), angle in zip(arm[:36].reshape(6, 6), q, strict=True):
         K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -66,9 +66,9 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the solutions of targets T (N, 4, 4) [m] as the array (N, SIZES.rows, SIZES.columns) of `answer.solve_loops`.
+    """Return the solutions of targets T (N, 4, 4) [m] as an array (N, SIZES.rows, SIZES.columns).
 
-    forms, arm and within are described there.
+    The array, forms, arm and within are described at `answer.solve_loops`.
     """
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
     solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)

@@ -20,10 +20,10 @@ from .terms import TRUST
 
 @compiled
 class Line(NamedTuple):
-    """An axis in space."""
+    """A line in space, for instance the axis of a joint."""
 
-    along: V3  # unit vector along the axis
-    point: V3  # any point of the axis
+    along: V3  # unit vector along the line
+    point: V3  # any point of the line
 
 
 @compiled
@@ -34,7 +34,7 @@ class JointLoop(NamedTuple):
     X: Array  # (12,) the pose X = E1(q1) ... E6(q6) to reach: rotation matrix by rows, then translation
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
     B: Array  # (6, 6) the inverse of J, with its columns permuted
-    swaps: Array  # (12,) the row that the factorisation has exchanged with each row
+    swaps: Array  # (12,) for each k, the row that was exchanged with row k when J was factored
     error: Array  # (6,) how far the loop is from closed, as a twist: linear, then angular
     q: Array  # (6,) joint values
 
@@ -92,7 +92,7 @@ def joint_at(place, backwards, shift):
 
 @inline
 def wrapped(angle):
-    """Return the angle modulo 2 pi, in [-pi, pi)."""
+    """Return an angle [rad] shifted by a multiple of 2 pi into [-pi, pi)."""
     return angle - TAU * math.floor((angle + math.pi) / TAU)
 
 
@@ -181,7 +181,7 @@ def close(loop, most, longest, still):
 def least_gain(loop):
     """Return 1 / |J^-1| (Frobenius norm), which is 0.4 to 1 times the least singular value of the Jacobian J = loop.J.
 
-    loop: `JointLoop`, whose J is overwritten.
+    It says how far the arm is from a singular pose. loop: `JointLoop`, whose J is overwritten.
     """
     J, B, total = loop.J, loop.B, 0.0
     lu_factor(J, loop.swaps, 6, TRUST.faint)

@@ -51,7 +51,7 @@ class Split(NamedTuple):
     off: float  # how far the actual axes are from the moved ones (at least the rounding error)
     # The equation that is solved first has one unknown; 1 if it equates distances (two axes meet), 0 if heights along an axis.
     square: float
-    third: float  # 1 if this unknown is joint 3, 0 if it is joint 1
+    third: float  # 1 if the unknown of the equation that is solved first is joint 3, 0 if it is joint 1
 
 
 # ------------------------------------------------------------------------------------------------------------------ branches
@@ -294,7 +294,7 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
 def nearest_point(lines: np.ndarray) -> np.ndarray:
     """Return the point (3,) nearest to lines (K, 6), each a unit direction and a point."""
     axes, points = lines[:, :3], lines[:, 3:]
-    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projection normal to each axis
+    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projection onto the plane normal to each axis
     return np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
 
 

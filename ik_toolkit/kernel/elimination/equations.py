@@ -36,8 +36,8 @@ class LoopEquations(NamedTuple):
     robot: Array  # (27, 14) coefficients in 1, cos, sin of joints 3, 4, 5, see `write_left`
     target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2, see `write_right`
     V: Array  # (8, 14) QR factors of the 8 rows of `target` without the constant one, taken as columns
-    scales: Array  # (8,) factors of the reflections of that QR
-    order: Array  # (8,) order of the columns in that QR factorisation
+    scales: Array  # (8,) scale of each reflection in the QR factorisation of V, see `linalg.triangle`
+    order: Array  # (8,) order of the columns in the QR factorisation of V
     # (27, 14) the coefficients robot - target[0], transformed by the reflections of the QR factorisation
     reduced: Array
     W: Array  # (3, 6, 9) coefficients of 1, cos q3, sin q3 in the 6 equations for 9 monomials of joints 4 and 5

@@ -32,17 +32,15 @@ class Sizes(NamedTuple):
     monomials: int = 12  # number of monomials x4^i x5^j, i = 0 ... 3, j = 0 ... 2; the index of one is 3 i + j
     degree: int = 14  # highest degree of the determinant that is used
     samples: int = 33  # number of angles at which the determinant is evaluated if it has that degree, 2 degree + 5
-    rows: int = (
-        33  # rows of an answer: `Notes`, and up to 32 solutions (an arm has 16 at most, the rest are repetitions)
-    )
+    # rows of an answer: `Notes`, and up to 32 solutions (an arm has 16 at most, the rest are repetitions)
+    rows: int = 33
     # Numbers of a solution: q (6,), the gain (`closure.least_gain`), the root q3 [rad], and the range of a free angle. In place of
     # the root, a decomposition writes the position (from 1 on) of the angle that is free, or 0 if none is. The last number is by
     # how much that angle may turn either way [rad].
     columns: int = 9
     form: int = 7  # length of a `Form`, or of a `decomposition.Split`
-    tables: int = (
-        66  # length of the table of cos and sin of 2 pi k / K, the angles at which the determinant is evaluated
-    )
+    # length of the table of cos and sin of 2 pi k / K, the angles at which the determinant is evaluated
+    tables: int = 66
     arm: int = 52  # how many numbers describe an arm, see `answer.solve_loops`
     whole: int = 157  # length of a row of `forms` of `answer.solve_loops`: Form, tables and `mix`
     branches: int = 8  # largest number of branches (solutions) of a decomposition, from three square roots
@@ -56,16 +54,13 @@ class CertaintyThresholds(NamedTuple):
     The thresholds were tuned on 60 arms, and tested on 180,000 targets from other random seeds.
     """
 
-    empty: float = (
-        1e-12  # a monomial's column below this share of the longest is zero; rounding is 1e-16 at a condition of 1e4
-    )
-    faint: float = (
-        1e-17  # a pivot below this share of the largest is replaced by that share, so that null vectors can be computed
-    )
+    # a monomial's column below this share of the longest is zero; rounding is 1e-16 at a condition of 1e4
+    empty: float = 1e-12
+    # a pivot below this share of the largest is replaced by that share, so that null vectors can be computed
+    faint: float = 1e-17
     sweeps: int = 40  # highest number of iterations over all roots; 8 are usual, close roots need 30
-    settled: float = (
-        1e-14  # the iteration of a root ends when its relative step is below this, because such a step is rounding
-    )
+    # the iteration of a root ends when its relative step is below this, because such a step is rounding
+    settled: float = 1e-14
     quiet: float = 1e-13  # the iteration of all roots ends when the largest relative step is below this
     # Factor of the radius of an error disc. Smith (1970) bounds the distance of a root by 2 d |P(z)| / |c prod (z - z_j)|. The
     # error of P(z) is the measured noise, with random signs; four times the root of the sum of its squares was never exceeded in
@@ -75,16 +70,15 @@ class CertaintyThresholds(NamedTuple):
     flat: float = 1e-11  # a determinant whose values are below this share of those at a usual target is not used
     # a root nearer to the unit circle than this may be two merging roots, so its error disc has to miss the circle more clearly
     band: float = 2e-3
-    # a root outside this band is complex if its error disc misses the unit circle by this many radii
+    # a root further from the unit circle than `band` is complex if its error disc misses the circle by this many radii
     clear: float = 3.0
-    # a root inside this band is complex if its error disc misses the unit circle by this many radii
+    # a root nearer to the unit circle than `band` is complex if its error disc misses the circle by this many radii
     clearer: float = 30.0
     wide: float = 5e-3  # an error disc with a larger radius certifies nothing
     # error discs count as overlapping if their centres are nearer than this many times the sum of the radii
     apart: float = 4.0
-    paired: float = (
-        1e-6  # two roots belong to two solutions with one q3 only if their mean is this near the unit circle
-    )
+    # two roots belong to two solutions with one q3 only if their mean is this near the unit circle
+    paired: float = 1e-6
     # there are two null vectors if the second smallest singular value is below this share of the largest
     second: float = 1e-3
     third: float = 1e-3  # two complex solutions need a third smallest singular value above this share of the largest
@@ -94,14 +88,12 @@ class CertaintyThresholds(NamedTuple):
     steps: int = 30  # highest number of Newton steps from approximate angles to a solution
     longest: float = 0.7  # longest Newton step [rad]
     still: float = 1e-8  # Newton's method ends after a step below this [rad]; the error is then about its square
-    kept: float = (
-        1e-6  # a solution's q3 may differ from its root by this much [rad], or by `kept_radii` if that is more
-    )
+    # a solution's q3 may differ from its root by this much [rad], or by `kept_radii` if that is more
+    kept: float = 1e-6
     kept_radii: float = 20.0  # a solution's q3 may differ from its root by this many radii of the root's error disc
     kept_most: float = 1e-2  # a solution's q3 may not differ from its root by more than this [rad] in any case
-    same: float = (
-        1e-7  # two solutions are the same if no joint differs by more [rad]; at a singular pose see `account.tolerance`
-    )
+    # two solutions are the same if no joint differs by more [rad]; at a singular pose see `account.tolerance`
+    same: float = 1e-7
     # two roots may share a solution whose gain (about the least singular value) is below this; the answer is then DOUBLE
     singular: float = 1e-3
     family: float = 1e-5  # a solution with a smaller gain may be one of a continuum, so the answer is not certain
@@ -114,9 +106,8 @@ class DecompositionThresholds(NamedTuple):
     rounding: float = 3e-15  # error of every number of an arm that decomposes exactly; errors of 1e-15 occur
     off: float = 1e-3  # axes count as meeting, or as parallel, if they differ from that by at most this
     band: float = 4.0  # true errors never exceed the estimated error times this factor
-    apart: float = (
-        1e-3  # two solutions that may be one, or none, because of errors must be nearer to each other than this [rad]
-    )
+    # two solutions that may be one, or none, because of errors must be nearer to each other than this [rad]
+    apart: float = 1e-3
     still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
     loose: float = 1e-5  # an angle counts as free only if the numbers that make it so are exact to this
     # A pose displaced by e has complex solutions at most 30 sqrt(e) (`decide.MARGINS.gap`) from real ones. Complex solutions within
