@@ -24,7 +24,8 @@ class Descent(NamedTuple):
 
     first: float = 0.1  # damping of the first step, divided by the squared error
     least: float = 1e-6  # least damping, divided by the squared error; it bounds the steps at singular poses
-    most: float = 1e9  # greatest damping, divided by the squared error; the method ends if even its short step does not lower the error
+    # greatest damping, divided by the squared error; the method ends if even its short step does not lower the error
+    most: float = 1e9
     lowered: float = 0.3  # by how much the damping is multiplied after a step that lowers the error
     raised: float = 4.0  # by how much the damping is multiplied after a step that does not lower the error
     evaluations: int = 500  # highest number of evaluations of the errors (0.3 us each)

@@ -36,7 +36,8 @@ class LevelSteps(NamedTuple):
     small: float = 1e-8
     # damping of the step onto the constraint, as a share of the squared error (as in the solver `lm`)
     damping: float = 0.02
-    least_damping: float = 1e-9  # least damping of the step onto the constraint; it keeps the multipliers finite where the Jacobian is singular
+    # least damping of the step onto the constraint; it keeps the multipliers finite where the Jacobian is singular
+    least_damping: float = 1e-9
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
     pivot: float = 1e-5
     # A level acts along directions with at least this curvature, in which a joint may still change the error by micrometres;

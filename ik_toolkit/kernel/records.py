@@ -113,9 +113,8 @@ SIZE = ArraySizes()
 AT = Answer._make(range(SIZE.answer))
 ORDER = Orders._make(range(SIZE.orders))
 WHAT: Any = Task._make(range(SIZE.task))
-POINTS = (
-    24  # where the numbers of the coordinates begin in the array of `Ends`, after the poses of base (12) and tip (12)
-)
+# where the numbers of the coordinates begin in the array of `Ends`, after the poses of base (12) and tip (12)
+POINTS = 24
 
 
 @compiled

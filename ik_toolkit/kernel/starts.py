@@ -232,10 +232,8 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
     ends: a row for each tip; tasks: (F, SIZE.task); n: number of coordinates; asked (F,) is scratch: 1 if a tip takes part, because
     it has a target or another tip's target is relative to it.
     """
-    F, own = (
-        ends.shape[0],
-        ends.shape[1] - n,
-    )  # The last n numbers in a tip's row of `ends` flag the coordinates that move it.
+    # The last n numbers in a tip's row of `ends` flag the coordinates that move it.
+    F, own = ends.shape[0], ends.shape[1] - n
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):
