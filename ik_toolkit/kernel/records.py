@@ -190,9 +190,8 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-@overload(
-    read, jit_options=BUILD
-)  # Making a record that holds an array needs numba's reference counting, which INLINE leaves out.
+# Making a record that holds an array needs numba's reference counting, which INLINE leaves out.
+@overload(read, jit_options=BUILD)
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
