@@ -156,6 +156,13 @@ class Pose(NamedTuple):
     point: V3
 
 
+@inline
+def pose_from(T):
+    """Return an array T (4, 4) as a Pose."""
+    x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
+    return Pose(M3(x, y, z), V3(T[0, 3], T[1, 3], T[2, 3]))
+
+
 @compiled
 class Blocks(NamedTuple):
     """The symmetric 6x6 matrix [[P, Q'], [Q, S]] of a damped least-squares step, made of 3x3 blocks.

@@ -12,7 +12,7 @@ this scaling is exact. Everything is expressed in the frame of the first joint; 
 import math
 
 from ..compile.jit import inline, inner
-from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
+from .algebra import M3, V3, Pose, alike, at, at3, pose_from, put, put3, rotation_at, rotation_left, sincos, transposed
 
 # Length of a joint's row: cos b, sin b, tx, ty, turn, a0, slide, d0, index of its coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
@@ -97,13 +97,10 @@ def aim(ends, T, goal):
 
     It consists of the rotation of the last joint (9), by rows, and the position of the tip (3) [over the reach]. ends: `Ends`.
     """
-    base = rotation_at(ends.flat, 0)
-    point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())
-    put3(goal, 9, base.across(point - at3(ends.flat, 9)))
-    x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
+    base, target = rotation_at(ends.flat, 0), pose_from(T)
+    put3(goal, 9, base.across(target.point * (1.0 / ends.scale()) - at3(ends.flat, 9)))
     for k in range(3):  # The rotation base' T tip' (of base, target and tip) is computed column by column.
-        row = at3(ends.flat, 12 + 3 * k)
-        v = base.across(x * row.x + y * row.y + z * row.z)
+        v = base.across(target.axes.times(at3(ends.flat, 12 + 3 * k)))
         goal[k], goal[3 + k], goal[6 + k] = v.x, v.y, v.z
 
 
@@ -115,12 +112,8 @@ def half_turn_axis(now, goal, sine):
     """
     # For an angle of pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the longest is the most
     # accurate.
-    x = V3(goal.x.x, goal.y.x, goal.z.x)
-    y = V3(goal.x.y, goal.y.y, goal.z.y)
-    z = V3(goal.x.z, goal.y.z, goal.z.z)
-    u = V3(now.x.x, now.y.x, now.z.x)
-    v = V3(now.x.y, now.y.y, now.z.y)
-    w = V3(now.x.z, now.y.z, now.z.z)
+    x, y, z = transposed(goal)
+    u, v, w = transposed(now)
     xx, yy, zz = x.dot(u), y.dot(v), z.dot(w)
     xy, xz, yz = 0.5 * (x.dot(v) + y.dot(u)), 0.5 * (x.dot(w) + z.dot(u)), 0.5 * (y.dot(w) + z.dot(v))
     if xx >= yy and xx >= zz:

@@ -1,7 +1,7 @@
 """Targets given relative to another tip: where such a target is, and how it moves with the other tip."""
 
 from ..compile.jit import inner
-from .algebra import M3, V3, at3, product, put3, put_axes, rotation_at, transposed
+from .algebra import at3, pose_from, product, put3, put_axes, rotation_at, transposed
 from .counted_error import add_pairs, plus_cross
 from .kinematics import column
 from .problem import add_column, counted_goal
@@ -21,9 +21,9 @@ def link_to(T, ends, other, link):
     `ends` is the `Ends` of the tip that has this target, `other` the `Ends` of the tip in whose frame it is given.
     """
     tool = rotation_at(other.flat, 12)
-    turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
-    put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
-    put3(link, POINT, tool.times(V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())))
+    target = pose_from(T)
+    put_axes(link, TURN, product(tool, product(target.axes, transposed(rotation_at(ends.flat, 12)))))
+    put3(link, POINT, tool.times(target.point * (1.0 / ends.scale())))
     base = transposed(rotation_at(ends.flat, 0))
     put_axes(link, FRAME, product(base, rotation_at(other.flat, 0)))
     put3(link, FRAME + 9, base.times(at3(other.flat, 9) - at3(ends.flat, 9)))

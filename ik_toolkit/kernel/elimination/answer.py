@@ -9,7 +9,7 @@ import numpy as np
 
 from ...compile.array_view import cut, fold, keep, view
 from ...compile.jit import build, cached, compiled, inline, inner
-from ..algebra import M3, V3, Pose, at3, put3, put_axes, rotation_at
+from ..algebra import M3, V3, Pose, at3, pose_from, product, put3, put_axes, rotation_at
 from ..records import Array
 from .account import Roots, account_for, near, off_circle, put_solution, set_up, size, to_joints
 from .angles import Null, find_angles, find_null
@@ -99,15 +99,12 @@ def motion_to(T, arm, X):
 
     X is a rotation matrix by rows, then a translation; arm: (52,) geometry, as for `solve_loops`.
     """
-    R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+    target = pose_from(T)
     # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
-    R = sharpened(sharpened(R))
-    point = (V3(T[0, 3], T[1, 3], T[2, 3]) - at3(arm, 48)) * (1.0 / arm[51])
-    home = Pose(rotation_at(arm, 36), at3(arm, 45))
-    back = inverse(home)
-    turn = M3(R.times(back.axes.x), R.times(back.axes.y), R.times(back.axes.z))
-    put_axes(X, 0, turn)
-    put3(X, 9, point + R.times(back.point))
+    R = sharpened(sharpened(target.axes))
+    back = inverse(Pose(rotation_at(arm, 36), at3(arm, 45)))
+    put_axes(X, 0, product(R, back.axes))
+    put3(X, 9, (target.point - at3(arm, 48)) * (1.0 / arm[51]) + R.times(back.point))
 
 
 @inner

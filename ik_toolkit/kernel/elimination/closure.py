@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from ...compile.jit import compiled, inline, inner, shared
-from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
+from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left, transposed
 from ..kinematics import TAU
 from ..linalg import lu_factor, lu_substitute
 from ..records import Array
@@ -73,8 +73,7 @@ def line_moved(pose, line):
 @inline
 def inverse(pose):
     """Return the inverse of a pose, taken as a motion."""
-    R = pose.axes
-    back = M3(V3(R.x.x, R.y.x, R.z.x), V3(R.x.y, R.y.y, R.z.y), V3(R.x.z, R.y.z, R.z.z))
+    back = transposed(pose.axes)
     return Pose(back, -back.times(pose.point))
 
 
