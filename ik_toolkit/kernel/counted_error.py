@@ -159,15 +159,6 @@ def shape(task, ends, goal, now, linear, angular, kept):
     return at3(kept, IN.error), at3(kept, IN.error + 3)
 
 
-@inline
-def rows_at(kept, i):
-    """Return the transpose of a 3x3 matrix that an array holds by rows, from index i on.
-
-    Its columns are thus the rows of the stored matrix.
-    """
-    return M3(at3(kept, i), at3(kept, i + 3), at3(kept, i + 6))
-
-
 @inner
 def count_column(kept, linear, angular):
     """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
@@ -175,7 +166,7 @@ def count_column(kept, linear, angular):
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
     linear = linear + angular.cross(at3(kept, IN.arm))
-    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.A).across(angular)
+    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.A).times(angular)
 
 
 @inner
@@ -185,7 +176,7 @@ def count_goal_column(kept, linear, angular):
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
     linear = linear + angular.cross(at3(kept, IN.arm_goal))
-    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
+    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.B).times(angular)
 
 
 @inner
@@ -196,16 +187,14 @@ def turn_axis(task, kept, out):
     always normal to an axis c, so c' r = 0. The reflection 1 - 2 n n' (Householder's) takes c to the z axis (or its opposite), so
     r_z becomes 0. task: numbers of a `Task`; kept: (IN.size,) as `shape` fills it.
     """
-    for k in range(3):
-        out[k] = 0.0
+    put3(out, 0, V3(0.0, 0.0, 0.0))
     if (
         int(task[WHAT.kind]) != KIND.part
         or task[WHAT.free] == 0.0
         or min(task[WHAT.w3], task[WHAT.w4], task[WHAT.w5]) == 0.0
     ):
         return
-    m = rows_at(kept, IN.A)
-    x, y, z = V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z)
+    x, y, z = rotation_at(kept, IN.A)
     a, b, c = x.cross(y), y.cross(z), z.cross(x)
     if b.square() > a.square():
         a = b
@@ -215,8 +204,7 @@ def turn_axis(task, kept, out):
     if size > SMALL.sine:
         a = a * (1.0 / size)
         a = a + V3(0.0, 0.0, 1.0 if a.z >= 0.0 else -1.0)
-        a = a * (1.0 / math.sqrt(a.square()))
-        out[0], out[1], out[2] = a.x, a.y, a.z
+        put3(out, 0, a * (1.0 / math.sqrt(a.square())))
 
 
 # ----------------------------------------------------------------------------------------------------------------- measure
@@ -356,7 +344,7 @@ def add_curvature(state, J, first, e, c, least, H):
     R, G, tip = rotation_at(state.pose, 0), rotation_at(state.goal, 0), at3(state.pose, 9)
     cp, cr = at3(c, first), at3(c, first + 3) * 0.5
     if kind == KIND.part:
-        cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
+        cp, cr = rotation_at(kept, IN.L).across(cp), rotation_at(kept, IN.A).across(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
     none = V3(0.0, 0.0, 0.0)

@@ -231,14 +231,14 @@ def to_base(ends, task, y, out):
 
 
 @inline
-def local_motion(ends, task, kept, V, out):
-    """Write to out (6,) a twist or acceleration V (6,) of a target [base axes, m, rad], converted to the errors that count.
+def local_motion(axes, scale, task, kept, V, out):
+    """Write to out (6,) a twist or acceleration V (6,) of a target [m, rad], converted to the errors that count.
 
     The result's lengths are over the arm's reach; its axes are the first joint's, or the task's if only a part of the error counts.
-    ends: `Ends`; task, kept: as for `errors_at`.
+    axes (M3): turns the axes of V into those of the first joint; scale: internal unit of length [m]; task, kept: as for
+    `errors_at`.
     """
-    base = rotation_at(ends.flat, 0)
-    u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))
+    u, v = axes.times(at3(V, 0)) * (1.0 / scale), axes.times(at3(V, 3))
     u, v = counted_goal(int(task[WHAT.kind]), kept, u, v)
     put3(out, 0, u)
     put3(out, 3, v)

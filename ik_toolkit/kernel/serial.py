@@ -7,7 +7,7 @@ import numpy as np
 
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
-from .algebra import V3, at3, put3, put_axes, rotation_at
+from .algebra import V3, at3, put3, put_axes, rotation_at, transposed
 from .counted_error import IN, KIND, TipState, add_curvature, angle_left, counts, turn_axis, vector_ratio
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
@@ -165,7 +165,7 @@ class Serial(NamedTuple):
         to_base(self.ends, self.task, y, out)
 
     def moving(self, V, out):
-        local_motion(self.ends, self.task, self.kept, V, out)
+        local_motion(transposed(rotation_at(self.ends.flat, 0)), self.ends.scale(), self.task, self.kept, V, out)
 
     def mirrors(self, out):
         turn_axis(self.task, self.kept, out[0])

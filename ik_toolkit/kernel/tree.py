@@ -11,7 +11,7 @@ import numpy as np
 
 from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
-from .algebra import V3, at3, product, put3, put_axes, rotation_at
+from .algebra import V3, at3, product, put3, put_axes, rotation_at, transposed
 from .checks import RIGID, rigid
 from .counted_error import IN, KIND, TipState, add_curvature, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
@@ -19,7 +19,6 @@ from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
     GOAL,
     Desk,
-    counted_goal,
     errors_at,
     fill,
     from_target,
@@ -218,17 +217,12 @@ class TreeProblem(NamedTuple):
 
     def moving(self, V, out):
         for f in range(self.tasks.shape[0]):
-            ends = self.ends_of(f)
-            other = self.other_of(f)
+            ends, other = self.ends_of(f), self.other_of(f)
+            axes = transposed(rotation_at(ends.flat, 0))
             if other >= 0:  # A target relative to another tip has its motion given in that tip's axes.
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
-                u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
-                u, v = counted_goal(self.kind_of(f), self.kept[f], u, v)
-                put3(out, 6 * f, u)
-                put3(out, 6 * f + 3, v)
-            else:
-                local_motion(ends, self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
+            local_motion(axes, ends.scale(), self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
 
     def mirrors(self, out):
         for f in range(self.tasks.shape[0]):
