@@ -10,7 +10,7 @@ import numpy as np
 from ...compile.array_view import cut, fold, keep, view
 from ...compile.jit import build, cached, compiled, inline, inner
 from ..algebra import M3, V3, Pose, at3, pose_from, product, put3, put_axes, rotation_at
-from ..records import Array
+from ..records import Array, copy
 from .account import Roots, account_for, near, off_circle, put_solution, set_up, size, to_joints
 from .angles import Null, find_angles, find_null
 from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
@@ -42,7 +42,8 @@ class Work(NamedTuple):
     null: Null
     A: Array  # (6, 9) scratch for `equations.determinant`
     N: Array  # (9, 9) scratch for `equations.determinant`
-    form: Array  # (SIZES.form,) the ordering of the loop that is being solved, see `terms.Form`
+    row: Array  # (SIZES.whole,) the ordering of the loop that is being solved, whose parts are the next three arrays
+    form: Array  # (SIZES.form,) the numbers of a `terms.Form`
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
     mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6, see `equations.reduce`
     found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
@@ -59,26 +60,14 @@ def make_work(block, axes):
     radius, state, M, P, x = cut(block, np.float64, (2 * SIZES.degree, 2 * SIZES.degree, (12, 12), (12, 12), 12))
     pair, monomials, t, A, N = cut(block, np.float64, ((2, 12), 14, 6, (6, 9), (9, 9)))
     order, swaps = cut(block, np.int64, (8, 12))
-    form, tables, mix, found = cut(
-        block, np.float64, (SIZES.form, (2, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
-    )
+    row, found = cut(block, np.float64, (SIZES.whole, (SIZES.rows, SIZES.columns)))
+    tables = fold(row[SIZES.form :], np.float64, 2, SIZES.samples)
+    mix = fold(row[SIZES.form + SIZES.tables :], np.float64, 6, SIZES.numbers)
     return Work(
         target, JointLoop(axes, X, J, back, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
-        Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N, form, tables, mix, found,
+        Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N,
+        row, row[: SIZES.form], tables, mix, found,
     )  # fmt: skip
-
-
-@inner
-def load(d, form):
-    """Copy one ordering of the loop, a row `form` of `forms` of `solve_loops`, to d.form, d.tables and d.mix (d: `Work`)."""
-    for k in range(SIZES.form):
-        d.form[k] = form[k]
-    for i in range(2):
-        for k in range(SIZES.samples):
-            d.tables[i, k] = form[SIZES.form + i * SIZES.samples + k]
-    for i in range(6):
-        for k in range(14):
-            d.mix[i, k] = form[SIZES.form + SIZES.tables + 14 * i + k]
 
 
 @inline
@@ -142,7 +131,7 @@ def look_around(d, forms, whole):
     for k in range(8):  # Four displaced poses are tried, each with the two best orderings.
         f = k // 4
         if f < forms.shape[0]:
-            load(d, forms[f])
+            copy(forms[f], d.row)
             nudge(d, (1e-3 if k % 4 < 2 else 2e-2) * (1.0 if k % 2 == 0 else -1.0))
             use_form(d)
             nudge(d, 0.0)
@@ -232,11 +221,10 @@ def solve_loops(forms, arm, T, found, values, within):
             found[t, 0, k] = 0.0
         status, roots, real = VERDICT.unsure, 0.0, math.inf
         for f in range(forms.shape[0]):
-            load(d, view(forms[f]))
+            copy(view(forms[f]), d.row)
             if values.shape[0] > 0:
                 found[t, 0, 3] = set_up(d)[1]
-                for k in range(SIZES.samples):
-                    values[t, k] = d.r.values[k]
+                copy(d.r.values, view(values[t]))
                 break
             pose, rank = use_form(d)
             alone = merge_into(d.found, view(found[t]))
