@@ -225,7 +225,7 @@ def settle_root(d, root, radius):
     """
     backwards, shift, q = d.form[0] > 0.0, int(d.form[1]), d.loop.q
     to_joints(d)
-    if not close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+    if not close(d.loop) < TRUST.closed:
         return False
     kept = q[joint_at(2, backwards, shift)]
     off = abs(wrapped(kept + root if backwards else kept - root))

@@ -12,6 +12,7 @@ from ...compile.jit import compiled, inline, inner
 from ..algebra import V3
 from ..linalg import lu_factor, lu_substitute, make_orthogonal, reflect_row
 from ..records import Array
+from ..vectors import clear, dot_of_columns, largest
 from .closure import Line, line_of, turned
 from .terms import SIZES, TRUST
 
@@ -34,8 +35,7 @@ def write_matrix(W, q, M):
     """Write the matrix M (12, 12) of the 12 equations at q3 = q [rad]; W: (3, 6, 9) coefficients, see `LoopEquations`."""
     c, s = math.cos(q), math.sin(q)
     for i in range(SIZES.monomials):
-        for j in range(SIZES.monomials):
-            M[i, j] = 0.0
+        clear(M[i])
     for k in range(6):
         for m in range(9):
             v = W[0, k, m] + c * W[1, k, m] + s * W[2, k, m]
@@ -56,11 +56,9 @@ def find_null(W, q, null):
         x[i] = 1.0
     for _ in range(2):
         lu_substitute(null.M, null.swaps, x, SIZES.monomials)
-        largest = 0.0
+        top = largest(x)
         for i in range(SIZES.monomials):
-            largest = max(largest, abs(x[i]))
-        for i in range(SIZES.monomials):
-            x[i] /= largest
+            x[i] /= top
 
 
 @inner
@@ -74,14 +72,8 @@ def find_two_nulls(W, q, null):
     make_orthogonal(null.M, null.V, SIZES.monomials)
     lengths = null.x
     for k in range(SIZES.monomials):
-        total = 0.0
-        for i in range(SIZES.monomials):
-            total += null.M[i, k] * null.M[i, k]
-        lengths[k] = math.sqrt(total)
-    largest = 0.0
-    for k in range(SIZES.monomials):
-        largest = max(largest, lengths[k])
-    second, third = 0.0, 0.0
+        lengths[k] = math.sqrt(dot_of_columns(null.M, k, null.M, k, SIZES.monomials))
+    top, second, third = largest(lengths), 0.0, 0.0
     for rank in range(3):
         at = 0
         for k in range(SIZES.monomials):
@@ -92,7 +84,7 @@ def find_two_nulls(W, q, null):
         if rank < 2:
             for i in range(SIZES.monomials):
                 null.pair[rank, i] = null.V[i, at]
-    return second / largest, third / largest
+    return second / top, third / top
 
 
 @inner

@@ -138,7 +138,7 @@ def look_around(d, forms, whole):
             for n in range(1, int(d.found[0, 0]) + 1):
                 for i in range(6):
                     d.loop.q[i] = d.found[n, i]
-                if close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+                if close(d.loop) < TRUST.closed:
                     for i in range(6):
                         d.loop.q[i] = wrapped(d.loop.q[i])
                     put_solution(whole, d.loop.q, least_gain(d.loop), 0.0)

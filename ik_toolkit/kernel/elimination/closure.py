@@ -15,6 +15,7 @@ from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left, trans
 from ..kinematics import TAU
 from ..linalg import lu_factor, lu_substitute
 from ..records import Array
+from ..vectors import largest
 from .terms import TRUST
 
 
@@ -154,23 +155,21 @@ def measure_loop(loop, q):
 
 
 @inner
-def close(loop, most, longest, still):
+def close(loop):
     """Improve loop.q (6,) by Newton's method, and return the largest component of the error that is left.
 
-    No step moves a joint by more than `longest` [rad]. The first step that moves all joints by less than `still` [rad] is the last,
-    and there are at most `most` steps. loop: `JointLoop`.
+    No step moves a joint by more than TRUST.longest [rad]. The first step that moves all joints by less than TRUST.still [rad] is
+    the last, and there are at most TRUST.steps. loop: `JointLoop`.
     """
     q, move = loop.q, math.inf
-    for k in range(most + 1):
+    for k in range(TRUST.steps + 1):
         size = measure_loop(loop, q)
-        if k == most or move < still or not size < 1e6:
+        if k == TRUST.steps or move < TRUST.still or not size < 1e6:
             break
         lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
         lu_substitute(loop.J, loop.swaps, loop.error, 6)
-        move = 0.0
-        for i in range(6):
-            move = max(move, abs(loop.error[i]))
-        share = 1.0 if move < longest else longest / move
+        move = largest(loop.error)
+        share = 1.0 if move < TRUST.longest else TRUST.longest / move
         for i in range(6):
             q[i] += share * loop.error[i]
     return size

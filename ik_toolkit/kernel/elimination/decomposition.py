@@ -94,7 +94,7 @@ def put_branch(d, free, half, merged, doubt, error, near):
     free = -1 if doubt else free
     size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
     if free < 0 and (size > TRUST.closed or (inexact and not merged)):
-        size = close(d.loop, TRUST.steps, TRUST.longest, TRUST.still)
+        size = close(d.loop)
         for place in range(6):
             t = -d.null.t[place] if d.form[0] > 0.0 else d.null.t[place]
             moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
