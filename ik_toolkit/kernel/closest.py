@@ -8,14 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.array_view import cut, flat, keep, space, view
+from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, inline
 from .checks import CODE
-from .dispatch import problem_on
 from .limits import hold
-from .null_space import OBJECTIVE, add_inside, make_bounds
+from .null_space import OBJECTIVE, add_inside, replace_answer, solved_problem
 from .problem import BEST_OF_ALL
-from .records import AT, SIZE, Ends, Orders, copy, read
+from .records import AT, SIZE, copy
 from .vectors import dot, largest
 
 
@@ -98,17 +97,10 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
     The arrays are given as views; steps: highest number of evaluations; block: scratch memory.
     """
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    weights, full, s = orders[first : first + n], Ends(flat(ends), n), p.desk
-    (places,) = cut(block, np.float64, ((3, n),))
-    box = make_bounds(places, full, OBJECTIVE.reference, o.limits > 0.0)
+    p, _, weights, full, box = solved_problem(block, rows, ends, row, orders, n, OBJECTIVE.reference)
+    s = p.desk
     best, error = cut(block, np.float64, (n, s.y.shape[0]))
     p.head_for(T)
-    for i in range(n):
-        s.q[i] = row[SIZE.answer + i] / full.unit(i)
     add_inside(s.q, s.q, 0.0, box)  # A step of length zero only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
@@ -138,10 +130,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         add_inside(s.q, s.dq, 1.0, box)
     row[AT.evaluations] += made
     if made > 1:
-        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
-        p.report(BEST_OF_ALL, row)
-        for i in range(n):
-            row[SIZE.answer + i] = best[i] * full.unit(i)
+        replace_answer(p, best, full, row)
         if e.good:
             row[AT.status] = CODE.converged
     return value

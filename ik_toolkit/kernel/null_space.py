@@ -82,6 +82,32 @@ def make_bounds(places, ends, what, limits):
 
 
 @inline
+def solved_problem(block, rows, ends, row, orders, n, what):
+    """Return what a refinement of an answer works on: problem, Orders, joint weights (n,), limits (Ends) and their Bounds.
+
+    The q of the answer is in p.desk.q of the problem p. The arrays are those of `refine`, as views; block: scratch memory.
+    """
+    o = read(Orders, orders)
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
+    block[0] = 0.0
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
+    full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
+    (places,) = cut(block, np.float64, ((3, n),))
+    for i in range(n):
+        p.desk.q[i] = row[SIZE.answer + i] / full.unit(i)
+    return p, o, orders[first : first + n], full, make_bounds(places, full, what, o.limits > 0.0)
+
+
+@inline
+def replace_answer(p, q, full, row):
+    """Write q (n,) and the errors that problem p keeps as BEST_OF_ALL to an answer `row`; full: `Ends`."""
+    row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
+    p.report(BEST_OF_ALL, row)
+    for i in range(q.shape[0]):
+        row[SIZE.answer + i] = q[i] * full.unit(i)
+
+
+@inline
 def log_manipulability(p, ends):
     """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
@@ -226,19 +252,10 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     block: scratch memory.
     """
     n = ref.shape[0]
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    weights = orders[first : first + n]
-    full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
-    (places,) = cut(block, np.float64, ((3, n),))
-    box = make_bounds(places, full, what, o.limits > 0.0)
+    p, o, weights, full, box = solved_problem(block, rows, ends, row, orders, n, what)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)
-    for i in range(n):
-        q[i] = row[SIZE.answer + i] / full.unit(i)
     gain = 1.0
     fresh = False  # whether the last step was an improvement
     value = np.inf
@@ -274,10 +291,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
             copy(dq, way)
         add_inside(q, dq, gain * min(1.0, NULL.longest / size), box)
     if taken > 0:
-        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
-        p.report(BEST_OF_ALL, row)
-        for i in range(n):
-            row[SIZE.answer + i] = old[i] * full.unit(i)
+        replace_answer(p, old, full, row)
 
 
 @cached
