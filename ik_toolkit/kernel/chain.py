@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import cached
-from .algebra import V3, at3, rotation_at
+from .algebra import V3, at3, product, rotation_at
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, SIZE, Array, Ends
@@ -42,9 +42,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
         now = fk(rows, q, joints, trig)
         tip = now.point + now.axes.times(at3(ends, 21))
         p = (base.times(tip) + at3(ends, 9)) * box.scale()
-        x = base.times(now.axes.times(tool.x))
-        y = base.times(now.axes.times(tool.y))
-        z = base.times(now.axes.times(tool.z))
+        x, y, z = product(base, product(now.axes, tool))
         T[t, 0, 0], T[t, 0, 1], T[t, 0, 2], T[t, 0, 3] = x.x, y.x, z.x, p.x
         T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 1, 3] = x.y, y.y, z.y, p.y
         T[t, 2, 0], T[t, 2, 1], T[t, 2, 2], T[t, 2, 3] = x.z, y.z, z.z, p.z
@@ -60,6 +58,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
 
 def poses_at(rows, ends, Q, unit, jacobian=False):
     """Return tip poses (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n); other arrays as in `Chain`."""
+    Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
     forward_kinematics(rows, ends, Q, unit, T, J)
@@ -131,7 +130,6 @@ class Chain(NamedTuple):
 
         The Jacobians are in base axes, with the linear rows first.
         """
-        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         return poses_at(self.rows, self.ends, Q, self.unit, jacobian)
 
 
@@ -272,24 +270,22 @@ def pack(
     n = len(lower)
     owner = rows[:, 8].astype(int)
     slides = lengths_only(rows, n)
-    mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
-    followers = np.bincount(owner, minlength=n)
     # A coordinate may wrap by 2 pi only if it moves a single joint, with ratio 1.
-    own = followers == 1
+    own = np.bincount(owner, minlength=n) == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
-    turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
+    turns = (upper - lower >= TAU - 1e-9) & ~slides & own
     # The reach is the sum of all offsets and finite strokes, or one metre if that sum is infinite or only rounding.
-    lengths = segments(rows, lower, upper)
-    finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
-    reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
+    lengths, tool = segments(rows, lower, upper), np.linalg.norm(tip[9:])
+    offsets = np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7])
+    reach = float(np.where(np.isfinite(lengths), lengths, offsets)[1:].sum() + tool)
     if rows[0, 6] != 0.0 and np.isfinite(lengths[0]):
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
     # Some files give a prismatic joint a stroke of 1000 km to say "far". If that were the unit of length, a tolerance of 1e-6 m
     # would be lost in rounding.
-    bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
-    scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
+    longest = max(float(offsets[1:].sum() + tool), LONGEST_UNIT)
+    scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, longest))), -1000, 1000))
     resize(rows, slides, 1.0 / scale)
     base[9:] /= scale
     tip[9:] /= scale
@@ -353,7 +349,6 @@ class TreeChain(NamedTuple):
 
         The Jacobians are in base axes, six rows for each tip, with the linear rows first.
         """
-        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         parts = zip(self.parts, self.ends, strict=True)
         poses, stack = zip(*(poses_at(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
