@@ -78,13 +78,9 @@ class Desk(NamedTuple):
 @spliced
 def make_desk(block, n, m):
     """Return the working memory (Desk) for n coordinates and m errors, cut from the memory `block`."""
-    s = Desk(
-        *cut(
-            block,
-            np.float64,
-            (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 11), max(n, m, 11)), (3, m // 6, 2)),
-        )
-    )
+    k = max(n, m, 11)
+    sizes = (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, k, k), (3, m // 6, 2))
+    s = Desk(*cut(block, np.float64, sizes))
     for i in range(n):
         for k in range(m):
             s.J[i, k] = 0.0

@@ -242,21 +242,8 @@ def serial_on(block, rows, ends, tasks, n, orders):
     # The sines of the padding of `trig` are computed, too, so the padding must hold valid numbers.
     clear(trig)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Serial(
-        make_desk(block, n, 6),
-        rows,
-        box,
-        tasks[: SIZE.task],
-        goal,
-        kept,
-        pose,
-        joints,
-        trig,
-        tp,
-        tr,
-        boxed,
-        own_coordinates(rows, n),
-    )
+    desk, task, own = make_desk(block, n, 6), tasks[: SIZE.task], own_coordinates(rows, n)
+    return Serial(desk, rows, box, task, goal, kept, pose, joints, trig, tp, tr, boxed, own)
 
 
 @build

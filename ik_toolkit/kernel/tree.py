@@ -144,8 +144,7 @@ class TreeProblem(NamedTuple):
                 fill_goal(self.rows_of(other), task, kept, self.joints_of(other), pose, link, J, 6 * f)
 
     def damped(self, look, damping):
-        s = self.desk
-        damped_stack(s.J, self.moves, s.w, s.dq, s.e, damping, s.A, s.y)
+        self.toward(self.desk.e, damping)
 
     def toward(self, y, damping):
         s = self.desk
@@ -376,10 +375,10 @@ def tree_on(block, rows, ends, tasks, n, orders):
     clear(trig)
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
+    desk = make_desk(block, n, 6 * F)
     return TreeProblem(
-        make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
-        orders, boxed,
-    )  # fmt: skip
+        desk, rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips, orders, boxed
+    )
 
 
 @build
