@@ -269,13 +269,12 @@ def add_products(J, first, e, factor, H):
     If `factor` is not 0, add instead `factor` times g g', where g = J e, over the same three errors, is the gradient of half their
     squared norm (but for its sign).
     """
+    errors = at3(e, first)
     for i in range(J.shape[0]):
-        gi = J[i, first] * e[first] + J[i, first + 1] * e[first + 1] + J[i, first + 2] * e[first + 2]
+        a = at3(J[i], first)
         for j in range(i + 1):
-            gj = J[j, first] * e[first] + J[j, first + 1] * e[first + 1] + J[j, first + 2] * e[first + 2]
-            h = factor * gi * gj
-            if factor == 0.0:
-                h = J[i, first] * J[j, first] + J[i, first + 1] * J[j, first + 1] + J[i, first + 2] * J[j, first + 2]
+            b = at3(J[j], first)
+            h = a.dot(b) if factor == 0.0 else factor * a.dot(errors) * b.dot(errors)
             H[i, j] += h
             if i != j:
                 H[j, i] += h

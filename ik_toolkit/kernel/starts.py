@@ -106,20 +106,11 @@ def nearest_seeds(feat, goal, wp, wr, score, val, best):
     square = f(wp)
     for j in range(score.shape[0]):
         score[j] = (
-            square * feat[12, j]
-            + p0 * feat[0, j]
-            + p1 * feat[1, j]
-            + p2 * feat[2, j]
-            + r0 * feat[3, j]
-            + r1 * feat[4, j]
-            + r2 * feat[5, j]
-            + r3 * feat[6, j]
-            + r4 * feat[7, j]
-            + r5 * feat[8, j]
-            + r6 * feat[9, j]
-            + r7 * feat[10, j]
-            + r8 * feat[11, j]
-        )
+            square * feat[12, j] + p0 * feat[0, j] + p1 * feat[1, j] + p2 * feat[2, j]
+            + r0 * feat[3, j] + r1 * feat[4, j] + r2 * feat[5, j]
+            + r3 * feat[6, j] + r4 * feat[7, j] + r5 * feat[8, j]
+            + r6 * feat[9, j] + r7 * feat[10, j] + r8 * feat[11, j]
+        )  # fmt: skip
     for b in range(BEST):
         val[b] = f(1e30)
         best[b] = 0
