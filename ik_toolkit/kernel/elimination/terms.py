@@ -41,7 +41,6 @@ class Sizes(NamedTuple):
     form: int = 7  # length of a `Form`, or of a `decomposition.Split`
     # length of the table of cos and sin of 2 pi k / K, the angles at which the determinant is evaluated
     tables: int = 66
-    arm: int = 52  # how many numbers describe an arm, see `answer.solve_loops`
     whole: int = 157  # length of a row of `forms` of `answer.solve_loops`: Form, tables and `mix`
     branches: int = 8  # largest number of branches (solutions) of a decomposition, from three square roots
     block: int = 4096  # length of the scratch memory, more than `make_work` needs
