@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.array_view import cut, fold, space
-from ..compile.jit import build, compiled, inner, spliced
+from ..compile.array_view import cut, fold
+from ..compile.jit import compiled, inner, spliced
 from .algebra import V3, at3, product, put3, put_axes, rotation_at, transposed
 from .checks import RIGID, rigid
 from .counted_error import IN, KIND, TipState, add_curvature, angle_left, turn_axis, vector_ratio
@@ -28,7 +28,7 @@ from .problem import (
     tip_at,
     to_base,
     tolerances,
-)  # fmt: skip
+)
 from .records import SIZE, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, add_goal_curvature, carry, fill_goal, link_to
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
@@ -379,14 +379,3 @@ def tree_on(block, rows, ends, tasks, n, orders):
     return TreeProblem(
         desk, rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips, orders, boxed
     )
-
-
-@build
-def make_tree(rows, ends, tasks, n, orders):
-    """Return the problem of several tips, with scratch arrays of its own, for code that works on arrays instead of views.
-
-    The arguments are those of `tree_on`.
-    """
-    block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
-    block[0] = 0.0
-    return tree_on(block, rows, ends, tasks, n, orders)
