@@ -71,19 +71,19 @@ class M3(NamedTuple):
 
 @inline
 def product(a, b):
-    """Return the matrix product a b."""
+    """Return the product a b of two 3x3 matrices (M3)."""
     return M3(a.times(b.x), a.times(b.y), a.times(b.z))
 
 
 @inline
 def transposed(m):
-    """Return the transpose of a matrix."""
+    """Return the transpose of a 3x3 matrix (M3)."""
     return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
 
 
 @compiled
 class Sym3(NamedTuple):
-    """A symmetric 3x3 matrix."""
+    """A symmetric 3x3 matrix, stored by its six different entries."""
 
     xx: Number
     xy: Number
@@ -100,7 +100,7 @@ class Sym3(NamedTuple):
         )
 
     def plus(self, a, b):
-        """Return the matrix plus the outer product a b', which is symmetric because a is parallel to b."""
+        """Return the matrix plus the outer product a b' of two parallel vectors, which is symmetric."""
         return Sym3(
             self.xx + a.x * b.x, self.xy + a.y * b.x, self.xz + a.z * b.x,
             self.yy + a.y * b.y, self.yz + a.z * b.y, self.zz + a.z * b.z,
@@ -111,7 +111,7 @@ class Sym3(NamedTuple):
         return a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
 
     def factors(self):
-        """Factor the matrix into L D L', for solving.
+        """Return the factors of the matrix, L D L', with which a linear system is solved.
 
         An inverse by cofactors would be less accurate where only the damping keeps the matrix from being singular, as when all
         joints turn about one axis. The entries of the inverse are then as large as 1 / damping, and their products with the right
@@ -150,27 +150,40 @@ class Factors(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """A frame: its axes and its origin."""
+    """The pose of a frame: its three axes, the columns of a rotation matrix, and its origin."""
 
     axes: M3
     point: V3
 
 
+@inline
+def pose_from(T):
+    """Return an array T (4, 4) as a Pose."""
+    x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
+    return Pose(M3(x, y, z), V3(T[0, 3], T[1, 3], T[2, 3]))
+
+
 @compiled
 class Blocks(NamedTuple):
-    """The symmetric 6x6 matrix [[P, Q'], [Q, S]] of a damped step, with the linear errors first."""
+    """The symmetric 6x6 matrix [[P, Q'], [Q, S]] of a damped least-squares step, made of 3x3 blocks.
+
+    Its first three rows belong to the position errors, the last three to the rotation errors.
+    """
 
     P: Sym3
     Q: M3
     S: Sym3
 
     def with_column(self, a, b, u, v):
-        """Return the matrix plus the outer product [a; b] [u; v]', which is symmetric because [a; b] is parallel to [u; v]."""
+        """Return the matrix plus the outer product [a; b] [u; v]' of two parallel vectors of six numbers, which is symmetric.
+
+        a, b, u and v are their halves (V3).
+        """
         Q = self.Q
         return Blocks(self.P.plus(a, u), M3(Q.x + b * u.x, Q.y + b * u.y, Q.z + b * u.z), self.S.plus(b, v))
 
     def solve(self, a, b):
-        """Solve the system for the right side [a; b] by the Schur complement of S; return both halves of the solution."""
+        """Return both halves (V3) of the solution for the right side [a; b], found with the Schur complement of S."""
         P = self.P
         inner = self.S.factors()
         x, y, z = inner.forward(self.Q.x), inner.forward(self.Q.y), inner.forward(self.Q.z)
@@ -187,16 +200,15 @@ class Blocks(NamedTuple):
 
 @inline
 def diagonal(d):
-    """Return d times the identity as Blocks."""
+    """Return the 6x6 identity times the number d, as Blocks."""
     o = alike(d, 0.0)
     none = V3(o, o, o)
     return Blocks(Sym3(d, o, o, d, o, d), M3(none, none, none), Sym3(d, o, o, d, o, d))
 
 
 # ----------------------------------------------------------------------------------------------------------- in memory
-# These functions read and write both kinds of component: an array (m,) holds m floats, an array (m, 8) holds m SIMD vectors.
 def at(A, i):
-    """Return component i of an array."""
+    """Return component i of an array: a float of an array (m,), a SIMD vector of eight floats of an array (m, 8)."""
     return A[i]
 
 
@@ -208,7 +220,7 @@ def _at(A, i):
 
 
 def put(A, i, value):
-    """Write component i of an array."""
+    """Write component i of an array: a float to an array (m,), a SIMD vector of eight floats to an array (m, 8)."""
     A[i] = value
 
 
@@ -224,7 +236,7 @@ def _put(A, i, value):
 
 
 def alike(x, number):
-    """Return `number` in the form of x: as a float, or as a SIMD vector of eight copies."""
+    """Return `number` as a float if x is a float, or as a SIMD vector of eight copies if x is such a vector."""
     return number
 
 
@@ -235,13 +247,13 @@ def _alike(x, number):
 
 @inline
 def at3(A, i):
-    """Read a V3 from components i, i + 1 and i + 2 of an array."""
+    """Return components i, i + 1 and i + 2 of an array as a vector (V3)."""
     return V3(at(A, i), at(A, i + 1), at(A, i + 2))
 
 
 @inline
 def put3(A, i, v):
-    """Write a V3 to components i, i + 1 and i + 2 of an array."""
+    """Write the vector v (V3) to components i, i + 1 and i + 2 of an array."""
     put(A, i, v.x)
     put(A, i + 1, v.y)
     put(A, i + 2, v.z)
@@ -249,7 +261,7 @@ def put3(A, i, v):
 
 @inline
 def rotation_at(A, i):
-    """Read an M3 from nine components of an array that hold it by rows, from component i on."""
+    """Return the 3x3 matrix (M3) that an array holds by rows in nine components, from component i on."""
     return M3(
         V3(at(A, i), at(A, i + 3), at(A, i + 6)),
         V3(at(A, i + 1), at(A, i + 4), at(A, i + 7)),
@@ -259,7 +271,7 @@ def rotation_at(A, i):
 
 @inline
 def put_axes(A, i, m):
-    """Write an M3 by rows to nine components of an array, from component i on."""
+    """Write the 3x3 matrix m (M3) by rows to nine components of an array, from component i on."""
     put3(A, i, V3(m.x.x, m.y.x, m.z.x))
     put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
     put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
@@ -267,7 +279,7 @@ def put_axes(A, i, m):
 
 @inline
 def sincos(x):
-    """Return the sine and cosine of x [rad], with an error below 1e-15 + 2e-16 |x|, which is the rounding of x.
+    """Return the sine and cosine of x [rad], with an error below 1e-15 + 2e-16 |x|; the second term is the rounding of x itself.
 
     They are computed together and without branches, so that a loop over the joints vectorises.
     """
@@ -291,14 +303,17 @@ def sincos(x):
 
 @inline
 def rotation_left(now, goal):
-    """Return sin(angle) times the axis, and 1 + cos(angle), of the rotation that takes the matrix `now` to `goal`."""
+    """Return sin(angle) times the axis, and 1 + cos(angle), of the rotation that takes one rotation matrix to another.
+
+    now and goal (M3): the matrices at its beginning and its end.
+    """
     sine = (now.x.cross(goal.x) + now.y.cross(goal.y) + now.z.cross(goal.z)) * 0.5
     return sine, 0.5 * (1.0 + now.x.dot(goal.x) + now.y.dot(goal.y) + now.z.dot(goal.z))
 
 
 @inline
 def chord(angle):
-    """Return the squared chord |2 sin(angle/2)|^2 of the angle [rad] that a tolerance allows."""
-    # A chord of length 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
+    """Return |2 sin(angle/2)|^2, the largest squared rotation error that a tolerance of this angle [rad] allows."""
+    # An error of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

@@ -10,24 +10,24 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import cached
-from .algebra import V3, at3, rotation_at
+from .algebra import V3, at3, product, rotation_at
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, SIZE, Array, Ends
 from .starts import DISTANCE, FEATURES, PAD, SEEDS, known_configurations
 
 __all__ = ["ROW", "Chain", "pack"]
-WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
+WINDING = 5 * TAU  # During a search, an endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
 TURNING = 1e4  # A revolute joint with a wider range [rad] counts as endless when random starts are drawn.
 LONGEST_UNIT = 1e4  # largest internal unit of length [m], unless the links are longer
-LEAST_REACH = 1e-10  # A sum of link lengths [m] below this is only rounding, so the reach is set to 1 m.
+LEAST_REACH = 1e-10  # A sum of link lengths below this [m] is only rounding, and the reach is then set to 1 m.
 
 
 @cached
 def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
     """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n) [rad or m].
 
-    J is (N, 6, n), or (0, 6, n) to skip the Jacobians. unit (n,): size of an internal unit of each coordinate [rad or m].
+    J is (N, 6, n), or (0, 6, n) to skip the Jacobians. rows, ends and unit are arrays of the chain, see `Chain`.
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -42,9 +42,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
         now = fk(rows, q, joints, trig)
         tip = now.point + now.axes.times(at3(ends, 21))
         p = (base.times(tip) + at3(ends, 9)) * box.scale()
-        x = base.times(now.axes.times(tool.x))
-        y = base.times(now.axes.times(tool.y))
-        z = base.times(now.axes.times(tool.z))
+        x, y, z = product(base, product(now.axes, tool))
         T[t, 0, 0], T[t, 0, 1], T[t, 0, 2], T[t, 0, 3] = x.x, y.x, z.x, p.x
         T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 1, 3] = x.y, y.y, z.y, p.y
         T[t, 2, 0], T[t, 2, 1], T[t, 2, 2], T[t, 2, 3] = x.z, y.z, z.z, p.z
@@ -59,7 +57,8 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
 
 
 def poses_at(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n)."""
+    """Return tip poses (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n); other arrays as in `Chain`."""
+    Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
     forward_kinematics(rows, ends, Q, unit, T, J)
@@ -67,7 +66,7 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return what `poses_at` returns, by numpy instead of compiled code, so that loading a robot compiles nothing."""
+    """Return what `poses_at` returns, computed by numpy instead of compiled code, so that loading a robot compiles nothing."""
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
     for M, flat in ((base, ends[:12]), (tip, ends[12:24])):
@@ -112,7 +111,7 @@ class Chain(NamedTuple):
     rows: np.ndarray  # (L, 10) geometry, one joint a row; the columns are listed at `kinematics.ROW`
     ends: np.ndarray  # one flat array: base and tip frames, joint limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) tip pose at each seed, to find the seeds nearest a target, see `table`
+    features: np.ndarray  # (13, 272) tip pose at each of `seeds`, to find those nearest a target, see `table`
     unit: np.ndarray  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
     lower: np.ndarray  # (n,) lower limits [rad or m]
     upper: np.ndarray  # (n,) upper limits [rad or m]
@@ -131,7 +130,6 @@ class Chain(NamedTuple):
 
         The Jacobians are in base axes, with the linear rows first.
         """
-        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         return poses_at(self.rows, self.ends, Q, self.unit, jacobian)
 
 
@@ -163,7 +161,7 @@ def start_range(
 
 
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
-    """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
+    """Return features (13, N + PAD) of configurations `seeds` (N, n), which `starts.nearest_seeds` compares with a target.
 
     The features are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, each with a
     factor. Their scalar product with a target's pose is thus a squared distance, up to a constant.
@@ -183,7 +181,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 def coordinate_numbers(
     lower: np.ndarray, upper: np.ndarray, home: np.ndarray, slides: np.ndarray, turns: np.ndarray, scale: float
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
-    """Return the units (n,) of coordinates, their seven properties (n,) in `records.Ends`, and the range of starts, low and high.
+    """Return the units (n,) of coordinates, their seven properties in `records.Ends`, and the range of starts, low and high (n,).
 
     lower, upper, home (n,) [rad or m]; slides, turns (n,): whether a coordinate is a length, and whether it may wrap by 2 pi.
     """
@@ -199,16 +197,16 @@ def resize(rows: np.ndarray, slides: np.ndarray, factor: float) -> None:
     """Multiply all lengths in the geometry `rows` (L, 10) by a factor, in place; slides (n,): whether a coordinate is a length."""
     rows[:, [2, 3, 7]] *= factor
     follows = ~slides[rows[:, 8].astype(int)] & (rows[:, 9] == 0.0)
-    rows[follows, 6] *= factor  # A prismatic joint that follows a revolute one has a length as ratio.
+    rows[follows, 6] *= factor  # The ratio of a prismatic joint that mimics a revolute one is a length per radian.
 
 
 def lengths_only(rows: np.ndarray, n: int) -> np.ndarray:
-    """Return whether each of n coordinates moves prismatic joints only (n,)."""
+    """Return an array (n,): whether each of n coordinates moves prismatic joints only; rows: (L, 10) geometry."""
     return ~np.isin(np.arange(n), rows[rows[:, 9] > 0.0, 8])
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [internal units]."""
+    """Return the six bounds listed at `records.Ends.bound` for coordinates within lower, upper (n,); tip (12,): as for `pack`."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -217,7 +215,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return a lower bound on the distance between a chain's two ends: the longest part less the sum of all others."""
+        """Return a lower bound on the distance of a chain's ends: its longest part less all others at their longest, `rest`."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -272,24 +270,22 @@ def pack(
     n = len(lower)
     owner = rows[:, 8].astype(int)
     slides = lengths_only(rows, n)
-    mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
-    followers = np.bincount(owner, minlength=n)
     # A coordinate may wrap by 2 pi only if it moves a single joint, with ratio 1.
-    own = followers == 1
+    own = np.bincount(owner, minlength=n) == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
-    turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
+    turns = (upper - lower >= TAU - 1e-9) & ~slides & own
     # The reach is the sum of all offsets and finite strokes, or one metre if that sum is infinite or only rounding.
-    lengths = segments(rows, lower, upper)
-    finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
-    reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
+    lengths, tool = segments(rows, lower, upper), np.linalg.norm(tip[9:])
+    offsets = np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7])
+    reach = float(np.where(np.isfinite(lengths), lengths, offsets)[1:].sum() + tool)
     if rows[0, 6] != 0.0 and np.isfinite(lengths[0]):
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Some files give a prismatic joint a stroke of 1000 km to say "far". With so long a unit, a tolerance of 1e-6 m would be lost
-    # in rounding.
-    bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
-    scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
+    # Some files give a prismatic joint a stroke of 1000 km to say "far". If that were the unit of length, a tolerance of 1e-6 m
+    # would be lost in rounding.
+    longest = max(float(offsets[1:].sum() + tool), LONGEST_UNIT)
+    scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, longest))), -1000, 1000))
     resize(rows, slides, 1.0 / scale)
     base[9:] /= scale
     tip[9:] /= scale
@@ -304,7 +300,7 @@ def pack(
 
 @cached
 def joint_levers(rows, ends, Q, unit, D) -> None:
-    """Fill D (N, L) with the distances [m] of the tip from the axis of each joint at Q (N, n) [rad or m]."""
+    """Fill D (N, L) with the distances [m] of the tip from each joint's axis at Q (N, n) [rad or m]; other arrays as in `Chain`."""
     n = Q.shape[1]
     size, angles = room(rows.shape[0])
     q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
@@ -318,16 +314,16 @@ def joint_levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # number of precomputed starts for several tips; each tip picks the values of its own joints from them
+ROWS = 2048  # number of precomputed starts for several tips; the joints of each tip start at a row chosen for this tip
 
 
 class TreeChain(NamedTuple):
     """The chains of F tips over n shared coordinates, as arrays for the compiled code."""
 
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    # (F, ...) for each tip: `records.Ends`, its number of rows, and n flags (1 if the coordinate moves the tip)
+    # (F, K) for each tip: `records.Ends`, number of joints of its chain, and n flags (1 if the coordinate moves the tip)
     ends: Array
-    # (N, n) precomputed starts; each tip picks the values of its own joints, and one of the tips those of shared joints.
+    # (N, n) precomputed starts; a joint that moves several tips starts at the row chosen for one of them
     seeds: Array
     features: Array  # (F, 13, N + PAD) tip poses at the seeds, to find those nearest a target, see `table`
     unit: Array  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
@@ -339,13 +335,13 @@ class TreeChain(NamedTuple):
 
     @property
     def turns(self) -> Array:
-        """Return (n,): 0 if a coordinate never wraps, 1 if it wraps inside its limits, 2 if it is endless."""
+        """Return an array (n,): 0 if a coordinate never wraps by 2 pi, 1 if it wraps inside its limits, 2 if it is endless."""
         n = len(self.lower)
         return self.ends[0, POINTS + 2 * n : POINTS + 3 * n]
 
     @property
     def parts(self) -> list[Array]:
-        """Return the geometry (L, 10) of each tip's chain."""
+        """Return a list with the geometry of each tip's chain, an array (L, 10) for L joints."""
         return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
@@ -353,19 +349,18 @@ class TreeChain(NamedTuple):
 
         The Jacobians are in base axes, six rows for each tip, with the linear rows first.
         """
-        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         parts = zip(self.parts, self.ends, strict=True)
         poses, stack = zip(*(poses_at(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
 
 
 def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
-    """Split the joint rows of a tree over n coordinates into those of each tip's chain."""
+    """Return the geometry of each tip's chain, cut from the rows (L, 10) of a tree over n coordinates; ends as in `TreeChain`."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
 def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
-    """Join the chains of all tips, one for each, with a common internal unit of length.
+    """Return the chains of several tips, joined with a common internal unit of length; for one tip, its chain itself.
 
     places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
     """

@@ -28,8 +28,8 @@ class StatusCodes(NamedTuple):
     bad_target: int = 8
     bad_start: int = 9
     too_far: int = 11
-    # An attempt that has no final status yet either continues (going), or no longer moves any joint (still; `search.conclude` finds
-    # out why), or has come near the best minimum found so far (known).
+    # An attempt that has no final status yet has one of these: going (it continues), still (no joint moves any more;
+    # `search.conclude` finds out why) or known (it has come near the best minimum found so far).
     going: int = -1
     still: int = -2
     known: int = -3
@@ -38,8 +38,8 @@ class StatusCodes(NamedTuple):
 class PoseThresholds(NamedTuple):
     """Thresholds that decide whether an array (4, 4) counts as a pose. The values were chosen by hand, not derived."""
 
-    axes: float = 1e-6  # largest difference between the dot products of the axes and 0 or 1
-    last_row: float = 1e-9  # largest difference between the last row and 0 0 0 1
+    axes: float = 1e-6  # by how much the dot product of two axes may differ from its exact value, 1 or 0
+    last_row: float = 1e-9  # by how much the four numbers of the last row may differ, in sum, from 0 0 0 1
     far: float = 1e100  # [m] A pose with coordinates beyond this is refused, because their squares would overflow.
 
 
@@ -48,7 +48,7 @@ class ProofThresholds(NamedTuple):
 
     # A target counts as unreachable only if it is out of reach by more than this [lengths over the reach], which exceeds rounding.
     reach_slack: float = 1e-9
-    # With a rotation tolerance [rad] of this or more, the target says nothing about where the last joint is.
+    # With a tolerance of this or more [rad] on the rotation, a target does not say where the last joint has to be.
     wide: float = 2.0
     unseen: float = 1e-16  # If |J' e|^2 is at most this share of |J|^2 |e|^2 (rounding), no joint changes the error e.
     # Limits block an attempt if the joints that can still move have less than this share of the squared gradient.
@@ -60,10 +60,11 @@ CODE, RIGID, PROOF = StatusCodes(), PoseThresholds(), ProofThresholds()
 
 @inner
 def ring(p, reach, hole, ends, slack):
-    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its base; negative if neither.
+    """Return the length by which a point lies outside an arm's reach, or inside the hole around its base; negative if neither.
 
     The arm reaches points whose distance from its base is between `hole` and `reach`; both bounds are relaxed by `slack`. The base
-    may itself be mounted on a vertical prismatic joint.
+    may itself be mounted on a vertical prismatic joint, whose range is in `ends` (Ends). p (V3): the point in the first joint's
+    frame. All lengths are over the reach.
     """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)
@@ -78,7 +79,8 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
     Two points must be in reach to within the tolerances: the target's point, and the position of the last joint. The latter follows
     from the target's rotation (except for the part of the tool normal to an axis about which the rotation is free), and the arm
-    without its tool must reach it.
+    without its tool must reach it. goal: (GOAL,) target, as `problem.take` writes it; ends: `Ends`; task: numbers of a `Task`;
+    tol_p, tol_r: tolerances of position [over the reach] and rotation [rad].
     """
     point, slack = at3(goal, 9), allowance(task, 0, tol_p) + PROOF.reach_slack
     if not slack < math.inf:
@@ -100,7 +102,10 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
 @inner
 def edge(goal, ends, excess):
-    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it if it is too near."""
+    """Move a target that is out of reach to the edge of the reach, `excess` [over the reach] away.
+
+    It moves towards the first joint, or away from it if it is too near. goal: (GOAL,) target, as `problem.take` writes it.
+    """
     p = at3(goal, 9)
     centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
     out = p - centre
@@ -110,7 +115,10 @@ def edge(goal, ends, excess):
 
 @inner
 def rigid(T, within):
-    """Return whether T (4, 4) is a pose: orthonormal axes to within the given bound, finite, right-handed, last row 0 0 0 1."""
+    """Return whether T (4, 4) is a pose: finite, right-handed, last row 0 0 0 1, and orthonormal axes.
+
+    within: by how much the dot product of two axes may differ from its exact value, 1 or 0.
+    """
     total = 0.0
     last = abs(T[3, 3] - 1.0)
     for r in range(3):
@@ -127,7 +135,7 @@ def rigid(T, within):
 
 @cached
 def is_rigid(T):
-    """Return whether T (4, 4) is a pose (as `rigid`), in a compiled function that Python may call."""
+    """Return whether T (4, 4) is a pose: the function `rigid`, with its usual tolerance, compiled so that Python may call it."""
     return rigid(T, RIGID.axes)
 
 
@@ -135,7 +143,8 @@ def is_rigid(T):
 def standstill(p, look, near, boxed):
     """Return why an attempt makes no progress: CODE.limit_blocked, CODE.singular (no joint changes the error) or CODE.stalled.
 
-    p.desk.J must be the Jacobian at the configuration of the errors `look`; near: `Ends` with the limits that steps must respect.
+    p: the problem, whose p.desk.J must be the Jacobian at the configuration of the errors `look`; near: `Ends` with the limits that
+    steps must respect; boxed: whether there are any.
     """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0

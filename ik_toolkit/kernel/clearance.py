@@ -8,8 +8,8 @@ import numpy as np
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-# To prove that a piece of a motion is free of contact, the piece is subdivided. If a part smaller than this share of a piece would
-# be needed, the proof stops there, and the caller measures the distances again.
+# To prove that a piece of a motion is free of contact, it is halved as often as needed. If a part smaller than this share of a
+# piece would be needed, the proof stops there, and the caller measures the distances again.
 FINEST = 1.0 / 64.0
 
 
@@ -88,9 +88,9 @@ def travelled(start, change, f):
 
 @dual
 def speed_and_growth(Q, R, k, j, gamma, h):
-    """Return the speed of joint j at the start of piece k of a `BrakingPath`, and its change over the piece.
+    """Return the speed of joint j at the start of piece k of a motion, and by how much the speed changes over the piece.
 
-    Both are moves per duration of the piece, not per second.
+    Both are moves per duration of the piece, not per second. Q, R, gamma and h are fields of the motion, see `BrakingPath`.
     """
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
@@ -99,16 +99,19 @@ def speed_and_growth(Q, R, k, j, gamma, h):
 
 @dual
 def position(Q, R, L, k, j, gamma, h, f):
-    """Return the value of joint j at the fraction f of piece k of a `BrakingPath`, and the length it has travelled by then."""
+    """Return the value of joint j at the fraction f (0 to 1) of piece k of a motion, and the length it has travelled by then.
+
+    Q, R, L, gamma and h are fields of the motion, see `BrakingPath`.
+    """
     start, change = speed_and_growth(Q, R, k, j, gamma, h)
     return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
 
 
 @cached
 def along(Q, R, L, gamma, h, u, q, length) -> None:
-    """Write to q (n,) the joint values after u pieces of a `BrakingPath`, and to length (n,) how far each joint has travelled.
+    """Write to q (n,) the joint values after u pieces of a motion, and to length (n,) how far each joint has travelled by then.
 
-    u may be a fraction.
+    u may be a fraction. Q, R, L, gamma and h are fields of the motion, see `BrakingPath`.
     """
     k = min(int(u), Q.shape[0] - 2)
     for j in range(q.shape[0]):
@@ -117,20 +120,20 @@ def along(Q, R, L, gamma, h, u, q, length) -> None:
 
 @inline
 def speed_at(V, e, point):
-    """Return the velocity of a point (root axes) per unit rate of joint e."""
+    """Return the velocity of a point (V3, root axes) per unit rate of joint e; V: (E, 6) twists, see `Bodies`."""
     return at3(V[e], 0) + at3(V[e], 3).cross(point)
 
 
 @cached
 def levers(parts, way, out, spread) -> None:
-    """Bound how much closer a pair of shapes can come per unit of each joint, while no joint moves further than `way`.
+    """Bound how much closer each pair of shapes can come per unit of each joint, while no joint moves further than `way`.
 
     The bound is the joint's lever arm: the distance from its axis to the far side of the shape's bounding sphere, plus how far the
     later joints can move the shape.
 
     Args:
         parts: `Bodies` where the motion starts.
-        way: (n,) largest move of each joint.
+        way: (n,) largest move of each joint [rad or m].
         out: (P, E) receives how much closer each pair can come per unit of each moving joint.
         spread: (P,) receives how much closer each pair can come through the moves of all joints together [m].
     """
@@ -220,7 +223,7 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
 @dual
 def second_order_motion(turn, lever, moved, length):
-    """Bound [m] the second-order part of a body's displacement: what its velocity per unit rate at the start does not predict.
+    """Return a bound [m] on the part of a body's displacement that is not the joint moves times its velocities at the start.
 
     turn (E,): angular speed per unit of each joint; lever (E,): lever arms of the joints; moved (E,): whether a joint moves the
     body; length (E,): how far the joints move.
@@ -239,8 +242,8 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
 
     Two convex shapes cannot touch before they have approached along the normal of a plane between them by their
     distance. The approach is bounded by the velocities at the start times the joint moves, plus a second-order bound on
-    the curvature of the motion. For shapes that are not convex (zero normal) it is bounded by the lengths that the
-    joints travel.
+    the curvature of the motion. For shapes that are not convex (their normal is zero) the approach is bounded by the
+    lengths that the joints travel, times their lever arms.
 
     Args:
         parts: `Bodies` at the point `start` of the path.
@@ -288,8 +291,8 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 closing += rate[e] * move
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
-                # Within a piece a joint's value deviates from the straight line between two points by up to 1/8 of its change of
-                # speed.
+                # Within a piece a joint deviates from steady motion between two points by at most 1/8 of its change of speed (in
+                # moves per piece).
                 curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
             bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(

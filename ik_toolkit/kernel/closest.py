@@ -8,26 +8,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.array_view import cut, flat, keep, space, view
+from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, inline
 from .checks import CODE
-from .dispatch import problem_on
 from .limits import hold
-from .null_space import OBJECTIVE, add_inside, make_bounds
+from .null_space import OBJECTIVE, add_inside, replace_answer, solved_problem
 from .problem import BEST_OF_ALL
-from .records import AT, SIZE, Ends, Orders, copy, read
+from .records import AT, SIZE, copy
 from .vectors import dot, largest
 
 
 class Descent(NamedTuple):
     """Constants of the minimisation, a Levenberg-Marquardt method whose damping is a multiple of the squared error."""
 
-    first: float = 0.1  # initial multiple: the damping divided by the squared error
-    least: float = 1e-6  # smallest multiple; it bounds the steps at singular poses
-    most: float = 1e9  # largest multiple; the method ends if even the short step it leads to does not lower the error
-    lowered: float = 0.3  # factor on the multiple after a step that lowers the error
-    raised: float = 4.0  # factor on the multiple after a step that does not lower the error
-    evaluations: int = 500  # largest number of evaluations (0.3 us each)
+    first: float = 0.1  # damping of the first step, divided by the squared error
+    least: float = 1e-6  # least damping, divided by the squared error; it bounds the steps at singular poses
+    # greatest damping, divided by the squared error; the method ends if even its short step does not lower the error
+    most: float = 1e9
+    lowered: float = 0.3  # by how much the damping is multiplied after a step that lowers the error
+    raised: float = 4.0  # by how much the damping is multiplied after a step that does not lower the error
+    evaluations: int = 500  # highest number of evaluations of the errors (0.3 us each)
     smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
 
 
@@ -36,7 +36,10 @@ DOWN = Descent()
 
 @inline
 def weighed(p, e, factor):
-    """Write the errors of an evaluation e, positions multiplied by `factor`, to p.desk.y; return their squared norm."""
+    """Write the errors of a problem p to p.desk.y (m,), positions multiplied by `factor`; return their squared norm.
+
+    e: what `p.evaluate` returned.
+    """
     y, total = p.desk.y, 0.0
     p.stack(e)
     for k in range(y.shape[0]):
@@ -50,6 +53,7 @@ def held_wrongly(s, error, weights, box):
     """Return whether the joints that are held at a limit by mistake could lower the error faster than the free joints.
 
     A joint at a limit is held by mistake if the error falls as the joint leaves the limit. The sums of squared slopes are compared.
+    s: `Desk`, whose w is 0 for a joint that is held; error (m,): the errors; weights (n,): joint weights; box: joint limits.
     """
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
@@ -68,7 +72,8 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 
     By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
     that ought to leave its limit. If that matters (`held_wrongly`), or if `pressed` is set, it instead holds the joints at a limit
-    that the gradient of the error pushes outwards.
+    that the gradient of the error pushes outwards. p: the problem; error (m,): its errors; weights (n,): joint weights; box: joint
+    limits.
     """
     s = p.desk
     copy(weights, s.w)
@@ -88,18 +93,14 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Do the work of `approach_targets` for one target, whose arrays are given as views; block: scratch memory."""
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    weights, full, s = orders[first : first + n], Ends(flat(ends), n), p.desk
-    (places,) = cut(block, np.float64, ((3, n),))
-    box = make_bounds(places, full, OBJECTIVE.reference, o.limits > 0.0)
+    """Lower the error of one failed search, and return the squared error at the new q: `approach_targets` for one target.
+
+    The arrays are given as views; steps: highest number of evaluations; block: scratch memory.
+    """
+    p, _, weights, full, box = solved_problem(block, rows, ends, row, orders, n, OBJECTIVE.reference)
+    s = p.desk
     best, error = cut(block, np.float64, (n, s.y.shape[0]))
     p.head_for(T)
-    for i in range(n):
-        s.q[i] = row[SIZE.answer + i] / full.unit(i)
     add_inside(s.q, s.q, 0.0, box)  # A step of length zero only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
@@ -129,10 +130,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         add_inside(s.q, s.dq, 1.0, box)
     row[AT.evaluations] += made
     if made > 1:
-        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
-        p.report(BEST_OF_ALL, row)
-        for i in range(n):
-            row[SIZE.answer + i] = best[i] * full.unit(i)
+        replace_answer(p, best, full, row)
         if e.good:
             row[AT.status] = CODE.converged
     return value

@@ -32,12 +32,12 @@ AXIS = "axis"  # a target (AXIS, axis) is a pose that leaves the rotation about 
 
 
 class TargetKinds(NamedTuple):
-    """Kinds of target, by what counts of a tip's error."""
+    """Kinds of target: which part of a tip's pose error counts."""
 
-    pose: int = 0  # the whole error
-    position: int = 1  # only the position
-    free: int = 2  # nothing
-    part: int = 3  # a part
+    pose: int = 0  # the whole error counts
+    position: int = 1  # only the position error counts
+    free: int = 2  # nothing counts: the tip has no target
+    part: int = 3  # only a part counts: there are weights, dead bands or a free axis, see `records.Task`
 
 
 class AxesOfParts(NamedTuple):
@@ -49,23 +49,23 @@ class AxesOfParts(NamedTuple):
 
 
 class KeptIndices(NamedTuple):
-    """Indices in the array `kept` (IN.size,) that `shape` fills for the derivative.
+    """Where `shape` puts what it computes for the derivative of the errors that count: indices in the array `kept` (IN.size,).
 
-    A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target,
-    if that moves with another tip, becomes (L (u + v x arm_goal), B v).
+    A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target, if that
+    moves with another tip, becomes (L (u + v x arm_goal), B v).
     """
 
     L: int = 0  # index of the matrix L, 9 numbers by rows
     A: int = 9  # index of the matrix A, 9 numbers by rows
     B: int = 18  # index of the matrix B, 9 numbers by rows
-    arm: int = 27  # index of the vector `arm` (3), see above
-    arm_goal: int = 30  # index of the vector `arm_goal` (3), see above
+    arm: int = 27  # index of the vector `arm` (3) in the formula above
+    arm_goal: int = 30  # index of the vector `arm_goal` (3) in the formula above
     error: int = 33  # index of the six errors that count, with weights and dead bands applied
     size: int = 39  # length of the array
 
 
 class SmallAngles(NamedTuple):
-    """Angles below which a formula that divides by them is replaced."""
+    """Bounds below which a formula that divides by an angle, or by its sine, is replaced."""
 
     sine: float = 1e-9  # two directions count as parallel if the sine of their angle is below this, which is rounding
     angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; set by hand
@@ -76,9 +76,10 @@ KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles
 
 @inner
 def allowance(task, first, tolerance):
-    """Return a bound on the norm of three raw errors, `first` and the next two, whose counted values are in tolerance.
+    """Return the largest norm of three errors of a pose (position or rotation) for which what counts of them is in tolerance.
 
-    The bound adds the dead bands and divides by the weights. It is infinite if one of the three errors does not count.
+    It adds the dead bands to the tolerance over the smallest weight, and is infinite if one of the errors does not count. first: 0
+    for the position errors, 3 for the rotation errors; task: numbers of a `Task`.
     """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
@@ -91,7 +92,7 @@ def allowance(task, first, tolerance):
 def log_curvature(rr):
     """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r; w: angular velocity; rr = |r|^2."""
     if rr < 1e-4:
-        return 1.0 / 12.0 + rr / 720.0  # the series of the formula below, whose next term is rr^2 / 30240
+        return 1.0 / 12.0 + rr / 720.0  # the series of the next formula up to rr^2 / 30240, which is omitted
     half = 0.5 * math.sqrt(rr)
     return (1.0 - half * math.cos(half) / math.sin(half)) / rr
 
@@ -100,9 +101,9 @@ def log_curvature(rr):
 def shape(task, ends, goal, now, linear, angular, kept):
     """Return the part (linear, angular) of a pose error that counts, and fill kept (IN.size,) for `count_column`.
 
-    The given angular error is 2 sin(angle/2) times the axis; `now` holds the present axes of the last joint. In the comments below,
-    G is the matrix for which a small rotation v of the tip changes the rotation vector r by -G v; a small rotation v of the target
-    changes r by G' v.
+    The given angular error is 2 sin(angle/2) times the axis; `now` holds the present axes of the last joint. task: numbers of a
+    `Task`; ends: `Ends`; goal: (GOAL,) target. In the comments below, G is the matrix for which a small rotation v of the tip
+    changes the rotation vector r by -G v; a small rotation v of the target changes r by G' v.
     """
     none = V3(0.0, 0.0, 0.0)
     if int(task[WHAT.kind]) == KIND.free:
@@ -121,7 +122,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > SMALL.sine:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # For a rotation by pi any axis normal to a will do.
+        elif cosine < 0.0:  # For a rotation by pi, any axis perpendicular to a will do.
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -133,7 +134,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != AXES.base:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # The vector `own` becomes a row of the matrix G, which is axis' G.
+        if turns:  # The vector `own` becomes a row of the matrix G, the product axis' G.
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -150,7 +151,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        # `others` is a row of the transposed matrix G': axis' G'.
+        # The vector `others` becomes a row of the transpose of G, the product axis' G'.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == AXES.target else others) * w)
     put3(kept, IN.arm, linear if frame == AXES.tip else none)
@@ -158,43 +159,42 @@ def shape(task, ends, goal, now, linear, angular, kept):
     return at3(kept, IN.error), at3(kept, IN.error + 3)
 
 
-@inline
-def rows_at(kept, i):
-    """Read three vectors from index i on; return the matrix with these columns, the transpose of the matrix stored by rows."""
-    return M3(at3(kept, i), at3(kept, i + 3), at3(kept, i + 6))
-
-
 @inner
 def count_column(kept, linear, angular):
-    """Convert a Jacobian column (linear, angular) of the tip to the errors that count; `shape` has filled `kept` for this q."""
+    """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
+
+    kept: (IN.size,) what `shape` has written for the present configuration.
+    """
     linear = linear + angular.cross(at3(kept, IN.arm))
-    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.A).across(angular)
+    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.A).times(angular)
 
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """Convert a motion (linear, angular) of the target to a change of the counted errors; `shape` has filled `kept` for this q."""
+    """Return by how much a small motion (linear, angular) of the target changes the errors that count.
+
+    kept: (IN.size,) what `shape` has written for the present configuration.
+    """
     linear = linear + angular.cross(at3(kept, IN.arm_goal))
-    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
+    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.B).times(angular)
 
 
 @inner
 def turn_axis(task, kept, out):
-    """Write to out (3,) the normal n of a Householder reflection that makes the third rotation error 0, or zeros.
+    """Write to out (3,) the unit normal n of a mirror plane, in which reflection makes the third rotation error of a tip 0.
 
     It writes zeros if no turn is free, or if one of the rotation errors does not count. With a free turn the rotation error r is
-    always normal to an axis c, so c' r = 0. The reflection 1 - 2 n n' takes c to the z axis (or its opposite), so r_z becomes 0.
+    always normal to an axis c, so c' r = 0. The reflection 1 - 2 n n' (Householder's) takes c to the z axis (or its opposite), so
+    r_z becomes 0. task: numbers of a `Task`; kept: (IN.size,) as `shape` fills it.
     """
-    for k in range(3):
-        out[k] = 0.0
+    put3(out, 0, V3(0.0, 0.0, 0.0))
     if (
         int(task[WHAT.kind]) != KIND.part
         or task[WHAT.free] == 0.0
         or min(task[WHAT.w3], task[WHAT.w4], task[WHAT.w5]) == 0.0
     ):
         return
-    m = rows_at(kept, IN.A)
-    x, y, z = V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z)
+    x, y, z = rotation_at(kept, IN.A)
     a, b, c = x.cross(y), y.cross(z), z.cross(x)
     if b.square() > a.square():
         a = b
@@ -204,8 +204,7 @@ def turn_axis(task, kept, out):
     if size > SMALL.sine:
         a = a * (1.0 / size)
         a = a + V3(0.0, 0.0, 1.0 if a.z >= 0.0 else -1.0)
-        a = a * (1.0 / math.sqrt(a.square()))
-        out[0], out[1], out[2] = a.x, a.y, a.z
+        put3(out, 0, a * (1.0 / math.sqrt(a.square())))
 
 
 # ----------------------------------------------------------------------------------------------------------------- measure
@@ -213,20 +212,23 @@ def turn_axis(task, kept, out):
 def vector_ratio(kind, rr):
     """Return the factor that turns a rotation error of squared length rr into a rotation vector.
 
-    If only a part of the error counts (KIND.part), the rotation error already is a rotation vector, and the factor is 1.
+    If only a part of the error counts (kind is KIND.part), the rotation error already is a rotation vector, and the factor is 1.
     """
     return 1.0 if kind == KIND.part else angle_ratio(rr)
 
 
 @inline
 def angle_left(kind, rr):
-    """Return the angle [rad] of a rotation error of squared length rr."""
+    """Return the angle [rad] of a rotation error of squared length rr, for a target of a kind of `TargetKinds`."""
     return math.sqrt(rr) if kind == KIND.part else rotation_angle(rr)
 
 
 @inline
 def counts(task):
-    """Return two flags, 1.0 or 0.0: whether the position counts, and whether the rotation counts, in the choice of starts."""
+    """Return two flags, 1.0 or 0.0: whether starts near the target's position, and near its rotation, are to be preferred.
+
+    They are 0 for what does not count, or has no bound. task: numbers of a `Task`.
+    """
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:
@@ -239,7 +241,7 @@ def counts(task):
 # ------------------------------------------------------------------------------------------------ second derivatives
 @compiled
 class TipState(NamedTuple):
-    """One tip at a configuration: its chain, which part of its error counts, and its pose."""
+    """A tip at one configuration: its chain, its target with the part of the error that counts, and its pose."""
 
     rows: Array  # (L, 10) geometry of the chain
     joints: Array  # (6 L,) axis and point of each joint
@@ -251,7 +253,10 @@ class TipState(NamedTuple):
 
 @inner
 def even_weight(task):
-    """Return the weight of a tip's rotation errors if it is the same for all three and they have no dead band, else 0."""
+    """Return the weight of a tip's rotation errors if it is the same for all three and they have no dead band, else 0.
+
+    task: numbers of a `Task`.
+    """
     w = task[WHAT.w3]
     even = task[WHAT.w4] == w and task[WHAT.w5] == w and task[WHAT.s3] + task[WHAT.s4] + task[WHAT.s5] == 0.0
     return w if even else 0.0
@@ -261,16 +266,15 @@ def even_weight(task):
 def add_products(J, first, e, factor, H):
     """Add to H (n, n) the sum of g_k g_k' over three errors k from `first` on, where g_k is column k of J (n, m).
 
-    If `factor` is not 0, add instead `factor` times g g', where g is the gradient J e of half their squared norm (but for its
-    sign).
+    If `factor` is not 0, add instead `factor` times g g', where g = J e, over the same three errors, is the gradient of half their
+    squared norm (but for its sign).
     """
+    errors = at3(e, first)
     for i in range(J.shape[0]):
-        gi = J[i, first] * e[first] + J[i, first + 1] * e[first + 1] + J[i, first + 2] * e[first + 2]
+        a = at3(J[i], first)
         for j in range(i + 1):
-            gj = J[j, first] * e[first] + J[j, first + 1] * e[first + 1] + J[j, first + 2] * e[first + 2]
-            h = factor * gi * gj
-            if factor == 0.0:
-                h = J[i, first] * J[j, first] + J[i, first + 1] * J[j, first + 1] + J[i, first + 2] * J[j, first + 2]
+            b = at3(J[j], first)
+            h = a.dot(b) if factor == 0.0 else factor * a.dot(errors) * b.dot(errors)
             H[i, j] += h
             if i != j:
                 H[j, i] += h
@@ -278,29 +282,33 @@ def add_products(J, first, e, factor, H):
 
 @compiled
 class Bend(NamedTuple):
-    """Factors of the second derivatives of a tip's error with respect to two of its joints, see `add_pairs`."""
+    """Factors by which the second derivatives of a tip's error enter a Lagrangian, see `add_pairs`."""
 
-    linear: V3  # factors of the position
-    turn: V3  # factors of the rotation vector itself
-    least: M3  # matrix of the squared rotation error, if that is minimised
+    linear: V3  # (V3) factors of the second derivatives of the position
+    turn: V3  # (V3) factors of the second derivatives of the rotation vector itself
+    least: M3  # (M3) matrix for the second derivatives of the squared rotation error; zeros unless that is minimised
 
 
 @inline
 def plus_cross(m, v):
-    """Return the matrix m plus that of the cross product with v from the left."""
+    """Return the sum of m and the matrix of the cross product with v, for which the sum times w is m w + v x w."""
     return M3(m.x + V3(0.0, v.z, -v.y), m.y + V3(-v.z, 0.0, v.x), m.z + V3(v.y, -v.x, 0.0))
 
 
 @inline
 def plus_diagonal(x, y, z, d, factor):
-    """Return `factor` times the matrix with the columns x, y and z plus d on its diagonal."""
+    """Return `factor` times the sum of a matrix, with columns x, y and z, and d times the identity."""
     x, y, z = x + V3(d, 0.0, 0.0), y + V3(0.0, d, 0.0), z + V3(0.0, 0.0, d)
     return M3(x * factor, y * factor, z * factor)
 
 
 @inner
 def add_pairs(rows, joints, tip, linear, turn, H):
-    """Add to H (n, n), for each pair of joints of a chain, (linear x v_r) . u_t + (turn v_r) . v_t with joint r nearer the base."""
+    """Add to H (n, n), for each pair of joints r and t of a chain, (linear x v_r) . u_t + (turn v_r) . v_t.
+
+    u and v are the linear and angular velocity of the point `tip` per unit of a joint; joint r is the one nearer the base. linear
+    is a vector (V3), turn a matrix (M3); rows and joints as in `TipState`.
+    """
     for r in range(rows.shape[0]):
         u, v = column(rows, joints, r, tip)
         i, ratio = int(rows[r, 8]), rows[r, 4] + rows[r, 6]
@@ -319,23 +327,23 @@ def add_curvature(state, J, first, e, c, least, H):
     """Add to H (n, n) the second derivatives of a tip's part of a Lagrangian.
 
     Args:
-        state: The tip at this configuration (TipState).
-        J: (n, m) transposed Jacobian of the counted errors.
+        state: The tip at this configuration, as a `TipState`.
+        J: (n, m) transposed Jacobian of the errors that count.
         first: Index of the tip's six errors among all m.
         e: (m,) errors, rotations as rotation vectors.
         c: (m,) factors of the second derivatives of the errors: minus the multiplier of a constraint, or minus the error itself.
         least: (2,) flags for position and rotation: 1 if half the squared error is a part of what is minimised, else 0.
-        H: (n, n) The matrix to add to.
+        H: (n, n) matrix to add to.
 
     Returns:
-        The factors (Bend) of the tip's own joints, for `relative.add_goal_curvature`.
+        The factors (Bend) that were used for pairs of the tip's own joints; `relative.add_goal_curvature` needs them.
     """
     task, kept = state.task, state.kept
     kind = int(task[WHAT.kind])
     R, G, tip = rotation_at(state.pose, 0), rotation_at(state.goal, 0), at3(state.pose, 9)
     cp, cr = at3(c, first), at3(c, first + 3) * 0.5
     if kind == KIND.part:
-        cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
+        cp, cr = rotation_at(kept, IN.L).across(cp), rotation_at(kept, IN.A).across(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
     none = V3(0.0, 0.0, 0.0)

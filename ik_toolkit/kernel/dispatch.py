@@ -12,7 +12,11 @@ from .tree import tree_on
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial, if `ends` is one row) or of several (TreeProblem), with scratch arrays from `block`."""
+    """Return the problem of one tip (Serial, if `ends` is one row) or of several (TreeProblem).
+
+    block: memory, from which scratch arrays are cut; rows: (L, 10) geometry; ends: numbers of `records.Ends`, a row for each tip;
+    tasks: the numbers of a `Task` for each tip, one after the other; n: number of coordinates; orders: an `Orders`.
+    """
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
@@ -24,7 +28,10 @@ def _problem_on(block, rows, ends, tasks, n, orders):
 
 
 def shaped(ends, T, tips):
-    """Return `ends` as one row if T is (N, 4, 4), for one tip, or as one row a tip if T is (N, F, 4, 4)."""
+    """Return the numbers `ends` as they are for one tip, where targets T are (N, 4, 4), or as one row a tip.
+
+    For several tips T is (N, F, 4, 4).
+    """
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
@@ -36,9 +43,9 @@ def _shaped(ends, T, tips):
 
 
 def evaluation(rule, p, q):
-    """Return the errors at q.
+    """Return the errors of problem p at q (n,).
 
-    A solver rule with a method `evaluated` computes them itself, and may rank configurations differently.
+    A solver rule with a method `evaluated` is asked instead of the problem: it may rank configurations in another way.
     """
     return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
 
@@ -51,9 +58,9 @@ def _evaluation(rule, p, q):
 
 
 def aim_at(rule, p, T, orders):
-    """Set the target, with the solver rule's method `aimed` if it has one.
+    """Set the target T of problem p, by the solver rule's method `aimed` if it has one.
 
-    Returns by how much it is out of reach, -1 if it is not a pose.
+    Returns the length [over the reach] by which the target is proven out of reach, -1 if it is not a pose. orders: an `Orders`.
     """
     return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
 

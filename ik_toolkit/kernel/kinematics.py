@@ -12,18 +12,18 @@ this scaling is exact. Everything is expressed in the frame of the first joint; 
 import math
 
 from ..compile.jit import inline, inner
-from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
+from .algebra import M3, V3, Pose, alike, at, at3, pose_from, put, put3, rotation_at, rotation_left, sincos, transposed
 
 # Length of a joint's row: cos b, sin b, tx, ty, turn, a0, slide, d0, index of its coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
-# A joint whose ratio to its coordinate differs from 1 by less than this is not a mimic joint: the difference is rounding.
+# A joint is not a mimic joint if its ratio to its coordinate differs from 1 by less than this, which is rounding.
 RATIO = 1e-12
 TAU = 2.0 * math.pi
 
 
 @inner
 def own_coordinates(rows, n):
-    """Return whether every row i moves coordinate i alone with ratio 1, so that there is no mimic joint."""
+    """Return whether each row i of a chain (L, 10) moves coordinate i alone with ratio 1, so that there is no mimic joint."""
     own = rows.shape[0] == n
     for i in range(rows.shape[0]):
         own = own and int(rows[i, 8]) == i and abs(rows[i, 4] + rows[i, 6] - 1.0) <= RATIO
@@ -32,13 +32,16 @@ def own_coordinates(rows, n):
 
 @inline
 def room(L):
-    """Return the lengths of the arrays `joints` and `trig` for L rows; `trig` is padded to whole SIMD registers."""
+    """Return the lengths of the arrays `joints` and `trig` of `fk` for L joints; `trig` is padded to whole SIMD registers."""
     return 6 * L, 3 * ((L + 3) // 4 * 4)
 
 
 @inline
 def turn_all(rows, q, trig):
-    """Fill `trig` with the angles of all joints, then their sines, then their cosines; the second loop is vectorised."""
+    """Fill `trig` with the angles of all joints at q (n,), then their sines, then their cosines.
+
+    rows: (L, 10) geometry. Sines and cosines have a loop of their own, which is vectorised.
+    """
     size = trig.shape[0] // 3
     for i in range(rows.shape[0]):
         put(trig, i, at(q, int(rows[i, 8])) * rows[i, 4] + rows[i, 5])
@@ -50,7 +53,10 @@ def turn_all(rows, q, trig):
 
 @inline
 def fk(rows, q, joints, trig):
-    """Return the pose of the last joint at q (n,); joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
+    """Return the pose of the last joint at q (n,); joints[6 i : 6 i + 6] receives the axis and a point of joint i.
+
+    rows: (L, 10) geometry; trig: receives angles, sines and cosines of the joints; see `room` for the lengths of both arrays.
+    """
     turn_all(rows, q, trig)
     size = trig.shape[0] // 3
     s, c = at(trig, size), at(trig, 2 * size)
@@ -75,7 +81,10 @@ def fk(rows, q, joints, trig):
 
 @inline
 def column(rows, joints, i, tip):
-    """Return the linear and angular velocity of the point `tip` per unit of joint i."""
+    """Return the linear and angular velocity of the point `tip` (V3) per unit of joint i.
+
+    rows: (L, 10) geometry; joints: axes and points of the joints, as `fk` writes them.
+    """
     axis = at3(joints, 6 * i)
     if rows[i, 9] > 0.0:
         return axis.cross(tip - at3(joints, 6 * i + 3)), axis
@@ -84,31 +93,27 @@ def column(rows, joints, i, tip):
 
 @inner
 def aim(ends, T, goal):
-    """Convert a target T (4, 4) [m, base axes] to the rotation of the last joint (9) and the tip (3) in the first joint's frame."""
-    base = rotation_at(ends.flat, 0)
-    point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())
-    put3(goal, 9, base.across(point - at3(ends.flat, 9)))
-    x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
-    for k in range(3):  # The rotation base' T tip' is computed column by column.
-        row = at3(ends.flat, 12 + 3 * k)
-        v = base.across(x * row.x + y * row.y + z * row.z)
+    """Write to goal (12,) the pose that a target T (4, 4) [m, base axes] asks for, in the frame of the first joint.
+
+    It consists of the rotation of the last joint (9), by rows, and the position of the tip (3) [over the reach]. ends: `Ends`.
+    """
+    base, target = rotation_at(ends.flat, 0), pose_from(T)
+    put3(goal, 9, base.across(target.point * (1.0 / ends.scale()) - at3(ends.flat, 9)))
+    for k in range(3):  # The rotation base' T tip' (of base, target and tip) is computed column by column.
+        v = base.across(target.axes.times(at3(ends.flat, 12 + 3 * k)))
         goal[k], goal[3 + k], goal[6 + k] = v.x, v.y, v.z
 
 
 @inner
 def half_turn_axis(now, goal, sine):
-    """Return the axis of the rotation from `now` to `goal`, by almost pi, from the symmetric part of its matrix.
+    """Return the axis of the rotation from `now` to `goal` (M3), by almost pi, from the symmetric part of its matrix.
 
-    The antisymmetric part, which gives the axis times the sine, almost vanishes there; `sine` decides the sign of the axis.
+    The antisymmetric part, which gives `sine` = sin(angle) times the axis, almost vanishes there; only the sign is taken from it.
     """
-    # For an angle of pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the largest is the most
-    # exact.
-    x = V3(goal.x.x, goal.y.x, goal.z.x)
-    y = V3(goal.x.y, goal.y.y, goal.z.y)
-    z = V3(goal.x.z, goal.y.z, goal.z.z)
-    u = V3(now.x.x, now.y.x, now.z.x)
-    v = V3(now.x.y, now.y.y, now.z.y)
-    w = V3(now.x.z, now.y.z, now.z.z)
+    # For an angle of pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the longest is the most
+    # accurate.
+    x, y, z = transposed(goal)
+    u, v, w = transposed(now)
     xx, yy, zz = x.dot(u), y.dot(v), z.dot(w)
     xy, xz, yz = 0.5 * (x.dot(v) + y.dot(u)), 0.5 * (x.dot(w) + z.dot(u)), 0.5 * (y.dot(w) + z.dot(v))
     if xx >= yy and xx >= zz:
@@ -123,7 +128,7 @@ def half_turn_axis(now, goal, sine):
 
 @inline
 def rotation_error(now, goal):
-    """Return 2 sin(angle/2) times the axis of the rotation that takes the rotation matrix `now` to `goal`."""
+    """Return 2 sin(angle/2) times the axis of the rotation that takes the rotation matrix `now` to `goal` (both M3)."""
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
@@ -137,13 +142,19 @@ def rotation_error(now, goal):
 
 @inline
 def pose_error(goal, axes, tip):
-    """Return the linear and angular errors of a tip from a goal that `aim` wrote; angular: 2 sin(angle/2) times the axis."""
+    """Return the position error and the rotation error of a tip, the latter as 2 sin(angle/2) times the axis.
+
+    goal: (12,) target as `aim` writes it; axes (M3): axes of the last joint; tip (V3): position of the tip.
+    """
     return at3(goal, 9) - tip, rotation_error(axes, rotation_at(goal, 0))
 
 
 @inner
 def angle_ratio(rr):
-    """Return angle / (2 sin(angle/2)) for rr = |2 sin(angle/2)|^2: the factor from a rotation error to its rotation vector."""
+    """Return angle / (2 sin(angle/2)) for rr = |2 sin(angle/2)|^2.
+
+    A rotation error, 2 sin(angle/2) times the axis, becomes a rotation vector by this factor.
+    """
     h = 0.5 * math.sqrt(rr)
     if h < 1e-4:
         return 1.0 + rr / 24.0
@@ -160,13 +171,15 @@ def rotation_angle(rr):
 def jacobian_rate(rows, joints, J, first, tip, x, y, out):
     """Write to out (6,) the product (dJ/dt) y, where J is the tip's 6 x n Jacobian and the joints move at the rates x (n,).
 
-    The array `joints` is as `fk` fills it. The array J (n, m) holds the transposed Jacobian in six columns from `first` on.
+    rows: (L, 10) geometry; joints: as `fk` fills it; J (n, m): the transposed Jacobian, in six columns from `first` on; tip (V3):
+    position of the tip; y: (n,).
     """
     zero = V3(0.0, 0.0, 0.0)
     v = zero  # linear velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
-    # `turn` is the angular velocity of the link before joint i, `speed` the velocity of the stored point on the joint's axis.
+    # While the loop is at joint i, `turn` is the angular velocity of the link before it, `speed` the velocity of the stored point
+    # on its axis.
     turn, speed = zero, zero
     linear, angular = zero, zero
     for i in range(rows.shape[0]):

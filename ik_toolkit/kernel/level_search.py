@@ -12,13 +12,13 @@ from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
 from .search import Patience, Spent, make_attempt, start_attempt
 
-WORST = 1e300  # a squared error above any other
+WORST = 1e300  # larger than any squared error
 
 
 class Phases(NamedTuple):
-    """Codes of how an attempt treats the levels of errors."""
+    """The three ways in which an attempt may treat errors with an order of priority."""
 
-    at_once: int = 0  # all errors are at one level
+    at_once: int = 0  # all errors are treated as if they had the same priority
     constrained: int = 1  # level 0 is a constraint
     out_of_reach: int = 2  # level 0 is minimised, because it is taken to be out of reach
 
@@ -32,17 +32,18 @@ class Minimum(NamedTuple):
 
     ee: float  # number by which configurations are compared, see `rank_errors`
     beside: float  # squared error of the level that comes after the one measured by `ee`
-    agreed: int  # number of attempts that found it
-    found: int  # number of the attempt that found it first
+    agreed: int  # number of attempts that have found this minimum
+    found: int  # number of the attempt that found this minimum first
     met: bool  # whether all levels are in tolerance
 
 
 @inline
 def rank_errors(p, e, level):
-    """Return the errors with an `ee` that orders configurations by level, and a `good` that says if all levels are in tolerance.
+    """Return the errors e with an `ee` that orders configurations by level, and a `good` that says if all levels are in tolerance.
 
     If all levels above c are in tolerance and level c has the squared error v, `ee` is v / (1 + v) - c. A configuration that meets
-    more levels therefore always has a smaller value, and the value is below 0 if level 0 is met.
+    more levels therefore always has a smaller value, and the value is below 0 if level 0 is met. p: the problem; level: (2 F,)
+    level of the position and of the rotation errors of each tip.
     """
     groups, top = level.shape[0], 0.0
     for g in range(groups):
@@ -61,7 +62,10 @@ def rank_errors(p, e, level):
 
 @inline
 def next_level(p, e, level):
-    """Return the squared error of the level that comes after the one measured by the `ee` of `rank_errors`."""
+    """Return the squared error of the level after the one that the `ee` of `rank_errors` measures.
+
+    p: the problem; e: errors from `rank_errors`; level: (2 F,) level of the position and of the rotation errors of each tip.
+    """
     c, value = 1.0, 0.0
     while e.ee < 1.0 - c:
         c += 1.0
@@ -73,9 +77,17 @@ def next_level(p, e, level):
 
 @inline
 def choose_phase(plain, tries, reached, near, far, excess):
-    """Return the phase of the next attempt.
+    """Return the phase of the next attempt, a number of `Phases`.
 
     After some constrained attempts without success, every second attempt minimises level 0.
+
+    Args:
+        plain: How many attempts, the first ones, treat all errors as one level.
+        tries: How many attempts have been made.
+        reached: Whether any attempt has met level 0.
+        near: How many attempts had level 0 as a constraint.
+        far: How many attempts minimised level 0.
+        excess: Length by which the target is proven out of reach [over the reach].
     """
     if tries < plain:
         return PHASE.at_once
@@ -86,7 +98,11 @@ def choose_phase(plain, tries, reached, near, far, excess):
 
 @inline
 def compare(p, e, level, best, number, job):
-    """Return the better of the best Minimum and that of attempt `number`, which ended at e; keep q and errors if it is better."""
+    """Return the better of two minima, as a `Minimum`: the best so far, and the one at which attempt `number` ended.
+
+    If the latter is better, its q and its errors are kept. p: the problem; e: errors from `rank_errors` at the end of the attempt;
+    level: (2 F,) level of the position and of the rotation errors of each tip; job: `SearchInput`.
+    """
     beside, floor = next_level(p, e, level), math.floor(best.ee)
     share = QUADRATIC.same if best.ee < 0.0 else QUADRATIC.same_reach
     same = abs(e.ee - best.ee) <= share * (best.ee - floor + QUADRATIC.first_order)
@@ -101,9 +117,9 @@ def compare(p, e, level, best, number, job):
 
 @inline
 def search_by_levels(rule, p, job, level, plain, excess):
-    """Make attempts until several have found the best minimum, and return the Answer and the index of its stored errors.
+    """Make attempts until several have found the best minimum; return the Answer and the index of its errors in `Desk.errors`.
 
-    level (2 F,): level of each group of errors (position, rotation); plain: how many attempts, the first ones, have all errors at
+    level (2 F,): level of each group of errors (position, rotation); plain: how many attempts, the first ones, treat all errors as
     one level. The other arguments are those of `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
@@ -116,15 +132,16 @@ def search_by_levels(rule, p, job, level, plain, excess):
     tries, near, far, found, cut_off = 0, 0, 0, 0, 0
     while True:
         if tries == plain:
-            least = WORST  # From here on it is a rank, which cannot be compared with the sums of squares of the earlier attempts.
+            least = WORST  # From here on this is a rank, which cannot be compared with the sums of squares of the earlier attempts.
         phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
         index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far
         near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
         patience = start_attempt(p, job, index - int(o.given), excess)
         if phase == PHASE.constrained:
-            # An attempt that comes near the best minimum ends early, as it would end there, too. An error below QUADRATIC.small
-            # may fall further, so that another attempt may meet the tolerance in the same place: then none ends early.
+            # An attempt that comes near the best minimum ends early, as it would end there, too. If the error of that minimum is
+            # below QUADRATIC.small, none ends early: the error may fall further, so that another attempt may meet the tolerance in
+            # the same place.
             sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
             known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
             decay = QUADRATIC.decay_later if least < 0.0 else QUADRATIC.decay
@@ -151,10 +168,20 @@ def search_by_levels(rule, p, job, level, plain, excess):
 
 @inline
 def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, excess):
-    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start.
+    """Put the answer into p.desk.q, each joint shifted by 2 pi k to be nearest the start.
 
-    reached: whether any attempt met level 0, so that no limit can be said to block it. Returns the Answer and the index of its
-    stored errors.
+    Returns the Answer, and the index of its errors in `Desk.errors`.
+
+    Args:
+        rule: The solver rule.
+        p: The problem.
+        job: The arrays of the search, as `SearchInput`.
+        best: The best `Minimum`.
+        reached: Whether any attempt met level 0, so that no limit can be said to block it.
+        spent: Counts of the whole search, as `Spent`.
+        tries: How many attempts were made.
+        cut_off: How many of them ended at the iteration limit.
+        excess: Length by which the target is proven out of reach [over the reach].
     """
     o, s, q = job.orders, p.desk, p.desk.q
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)

@@ -30,34 +30,39 @@ class LevelSteps(NamedTuple):
     # A configuration counts as a minimum if the norm of the gradient in the null space, and a tenth of the largest multiplier of
     # the wrong sign, are below this share of the error.
     first_order: float = 1e-6
-    # Below this squared error the gradient no longer has to fall with the error. Only directions flatter than `flat` are left then,
-    # such as the free turn of a tool whose axis is rounded in the description: a whole turn changes the error by microradians.
+    # Below this squared error of a level, the gradient no longer has to fall with the error. Only directions flatter than `flat`
+    # are left then, such as the free turn of a tool whose axis is rounded in the description: a whole turn changes the error by
+    # microradians.
     small: float = 1e-8
-    damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
-    least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
+    # damping of the step onto the constraint, as a share of the squared error (as in the solver `lm`)
+    damping: float = 0.02
+    # least damping of the step onto the constraint; it keeps the multipliers finite where the Jacobian is singular
+    least_damping: float = 1e-9
     # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
     pivot: float = 1e-5
-    # smallest curvature that a level acts on, where a joint may still change the error by micrometres; flatter directions are left
-    # to the next level
+    # A level acts along directions with at least this curvature, in which a joint may still change the error by micrometres;
+    # flatter ones are left to the next level.
     flat: float = 1e-6
     longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
-    # this share if level 0 is out of reach; it is small because errors of level 0 take precedence over the next level
+    # the same if level 0 is out of reach; this share is small because errors of level 0 come before those of the next level
     same_reach: float = 1e-5
     # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it; of those
     # attempts 1 in 35 would have ended elsewhere (SO-100 and SO-101, 200 targets each)
     near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
-    agree_reach: int = 6  # this number if level 0 is out of reach, where minima are close to one another
+    # number of attempts that must have found the best minimum if level 0 is out of reach, where minima are close together
+    agree_reach: int = 6
     most: int = 20  # number of attempts after which the search ends if any of them has reached level 0
-    # number of attempts with all errors at one level, if there are at least as many joints as errors that count
+    # how many attempts, the first ones, treat all errors as one level, if there are at least as many joints as errors that count
     at_once: int = 48
-    # number of such attempts with fewer joints, if these can change no more errors than there are joints (the pose of a planar
-    # arm); without such attempts 8 of 400 reachable poses of planar_3r are missed
+    # how many attempts, the first ones, treat all errors as one level if there are fewer joints, and these can change no more
+    # errors than there are joints (the pose of a planar arm); without them, 8 of 400 reachable poses of planar_3r are missed
     at_once_few: int = 3
-    table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
-    # number of precomputed starts from six joints on, where 512 find as many minima, and scanning 2048 takes as long as five
+    # number of precomputed starts; with only 256, 2 % fewer of the best minima are found on five joints
+    table: int = 2048
+    # number of precomputed starts from six joints on; 512 find as many minima as 2048, which take as long to scan as five
     # iterations
     table_six: int = 512
     known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
@@ -72,31 +77,33 @@ QUADRATIC = LevelSteps()
 
 @compiled
 class StepTables(NamedTuple):
-    """Scratch of a step: matrices (k, k) with room for n joints and m errors, and vectors (k,)."""
+    """Scratch arrays of a step by levels: matrices (k, k) with room for n joints and m errors, and vectors (k,)."""
 
     hessian: Array  # (n, n) second derivatives of a level's Lagrangian
     basis: Array  # (n, .) basis of the null space left by the levels so far, one vector a column
     work: Array
-    turned: Array  # the reflections of `linalg.triangle`, or eigenvectors of `reduced`
+    turned: Array  # QR factors from `linalg.triangle`, or the eigenvectors of `reduced`
     reduced: Array  # second derivatives of a level in the null-space basis, later their eigenvalues on the diagonal
-    border: Array  # (r, .) the Jacobian of the free joints, for the r errors of the constraint
-    triangle: Array  # (r, r) Cholesky factor of border border', damped
+    border: (
+        Array  # (r, .) the Jacobian with respect to the free joints, a row for each of the r errors of the constraint
+    )
+    triangle: Array  # (r, r) Cholesky factor of the damped border border'
     gradient: Array  # (n,) gradient of half the squared errors of a level
     rhs: Array  # right-hand side of a linear system
     pull: Array  # (m,) factors of the second derivatives of the errors, see `counted_error.add_curvature`
     chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
-    asked: Array  # (n,) joint weights before any joint was held
+    asked: Array  # (n,) joint weights, also of joints that are held now
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
     multiplier: Array  # (m,) minus the multipliers of the constraint
-    row: Array  # scratch: a vector of the null space
-    scales: Array  # factors of the reflections of `linalg.triangle`
+    row: Array  # scratch, for instance for one vector of the null space
+    scales: Array  # scale of each reflection in `linalg.triangle`
     order: Array  # order of the columns in `linalg.triangle`
 
 
 @inline
 def tables_of(s):
-    """Return the scratch arrays s.tables of a search's working memory s (Desk) as StepTables."""
+    """Return the scratch arrays `tables` of s (Desk), each under its name in `StepTables`."""
     t = s.tables
     v = t[7]
     return StepTables(
@@ -106,7 +113,10 @@ def tables_of(s):
 
 @inner
 def slope_of_level(p, c, level, out):
-    """Write to out (n,) the gradient of half the squared errors of level c; the errors must be in p.desk.y (method `stack`)."""
+    """Write to out (n,) the gradient of half the squared errors of level c of a problem p.
+
+    The method `p.stack` must have written the errors to p.desk.y; level: (2 F,) level of position and rotation of each tip.
+    """
     s = p.desk
     clear(out)
     for g in range(level.shape[0]):
@@ -121,8 +131,9 @@ def slope_of_level(p, c, level, out):
 def size_of_level(p, e, c, level):
     """Return the squared error of level c, or its tolerance where that is larger, but between QUADRATIC.small and 1.
 
-    The gradient is compared with it: near a pose that is almost reached, along a direction that hardly turns the tip, the gradient
-    alone is small long before the error is.
+    A level is at a minimum if its gradient is small against this number. The gradient alone is not enough: near a pose that is
+    almost reached, along a direction that hardly turns the tip, it is small long before the error is. p: the problem; e: its
+    errors; level: (2 F,) level of the position and of the rotation errors of each tip.
     """
     value, allowed = 0.0, 0.0
     for g in range(level.shape[0]):
@@ -134,7 +145,10 @@ def size_of_level(p, e, c, level):
 
 @inline
 def hessian_of_level(p, c, level, bench):
-    """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it."""
+    """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it.
+
+    p: the problem; level: (2 F,) level of the position and of the rotation errors of each tip; bench: `StepTables`.
+    """
     n = p.desk.q.shape[0]
     for i in range(n):
         clear(bench.hessian[i])
@@ -148,15 +162,18 @@ def hessian_of_level(p, c, level, bench):
 
 @inline
 def onto_constraint(s, level, base, k, value, bench):
-    """Write to s.dq the damped step onto a constraint, to bench.basis a basis of its null space; return how many vectors that has.
+    """Write to s.dq the damped step onto a constraint, and to bench.basis a basis of the constraint's null space.
 
     Args:
-        s: Working memory; the errors are in s.y.
+        s: Working memory (Desk); the errors are in s.y.
         level: (2 F,) level of each group of errors (position and rotation of each tip).
-        base: The errors of the levels below this one are the constraint.
+        base: The errors of the levels below this number are the constraint.
         k: Number of free joints.
         value: Squared error of the constraint.
-        bench: Scratch; `border` and `triangle` are filled for `multipliers`.
+        bench: Scratch (StepTables); `border` and `triangle` are filled for `multipliers`.
+
+    Returns:
+        The number of vectors in the basis.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
     r, most = 0, 0.0
@@ -196,8 +213,15 @@ def onto_constraint(s, level, base, k, value, bench):
 def down_level(s, k, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
-    Directions whose curvature is below QUADRATIC.flat are left to the next level: the basis (n, k) is replaced by them, unless this
-    is the last level. The step is shortened to end inside the limits (box); the part of the step onto the constraint is not.
+    Directions whose curvature is below QUADRATIC.flat are left to the next level: the basis is replaced by them, unless this is the
+    last level. The step is shortened to end inside the limits; the part of it that leads onto the constraint is not.
+
+    Args:
+        s: Working memory (Desk).
+        k: Number of vectors in the basis of the null space, bench.basis (n, k).
+        last: Whether this is the last level.
+        bench: Scratch (StepTables), with gradient and second derivatives of the level.
+        box: Joint limits (Ends).
 
     Returns:
         The number of columns of the new basis, and the squared norm of the gradient in the old basis.
@@ -205,7 +229,7 @@ def down_level(s, k, last, bench, box):
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
     b, dz, slope, steep = bench.rhs, bench.dz, bench.row, 0.0
     for i in range(n):
-        slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient after the step so far
+        slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient where the step so far leads
     for x in range(k):
         for i in range(n):
             A[i, x] = dot_with_column(H[i], Z, x, n)
@@ -247,9 +271,10 @@ def down_level(s, k, last, bench, box):
 
 @inline
 def multipliers(level, base, k, bench):
-    """Write minus the Lagrange multipliers of the levels below `base`, for the gradient of another level, to bench.multiplier.
+    """Write to bench.multiplier minus the Lagrange multipliers of the levels below `base`, for the gradient of another level.
 
-    The last call of `onto_constraint` must have written the factors in `bench` that are used here.
+    The gradient is bench.gradient. The last call of `onto_constraint` must have written the factors in `bench` that are used here.
+    level: (2 F,) level of the position and of the rotation errors of each tip; k: number of free joints.
     """
     b, out, r = bench.rhs, bench.multiplier, 0
     clear(out)
@@ -269,9 +294,11 @@ def multipliers(level, base, k, bench):
 
 @inner
 def inverse_multipliers(s, level, k, bench):
-    """Write to bench.multiplier what replaces the multipliers if level 0 is minimised: the Jacobian times mu, mu = -H^+ gradient.
+    """Write to bench.multiplier what takes the place of the multipliers if level 0 is not a constraint, but minimised.
 
-    The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
+    This is the Jacobian of level 0 times mu = -H^+ gradient. The eigenvalues and eigenvectors of H are those that `down_level`
+    found for level 0, whose basis was the free joints. s: working memory (Desk); level: (2 F,) level of the position and of the
+    rotation errors of each tip; k: number of free joints.
     """
     V, W, free, mu, out = bench.turned, bench.reduced, bench.free, bench.row, bench.multiplier
     clear(mu)
@@ -292,7 +319,7 @@ def inverse_multipliers(s, level, k, bench):
 def wrongly_held(s, size, bench, box):
     """Return the joint held at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none.
 
-    size: squared error of the level, with which the fall is compared, see `size_of_level`.
+    s: working memory (Desk); size: what the fall is compared with, from `size_of_level`; bench: StepTables; box: limits (Ends).
     """
     worst, most = -1, 10.0 * QUADRATIC.first_order * math.sqrt(size)
     for i in range(s.q.shape[0]):
@@ -308,10 +335,15 @@ def wrongly_held(s, size, bench, box):
 def step_by_levels(p, e, level, far):
     """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
 
-    level (2 F,): level of each group of errors; far: whether level 0 is minimised, because it is out of reach. Joints at a limit
-    that the step pushes outwards are held. At a minimum the multipliers of held joints must push outwards; as long as some do not,
-    the worst of these joints is released. Joints are released one by one because in a corner of the limits the multipliers of
-    level 0 are only known when enough joints are free.
+    Joints at a limit that the step pushes outwards are held. At a minimum the multipliers of held joints must push outwards; as
+    long as some do not, the worst of these joints is released. Joints are released one by one because in a corner of the limits the
+    multipliers of level 0 are only known when enough joints are free.
+
+    Args:
+        p: The problem.
+        e: Errors at p.desk.q, from `level_search.rank_errors`.
+        level: (2 F,) level of the position and of the rotation errors of each tip.
+        far: Whether level 0 is minimised, because it is out of reach.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
@@ -335,7 +367,8 @@ def step_by_levels(p, e, level, far):
         clear(bench.multiplier)
         if not far:
             k = onto_constraint(s, level, base, k, value, bench)
-            if released > 0:  # What is left within the tolerance must not push the released joints back out.
+            # The step that would lower errors inside the tolerance further must not push the released joints back out.
+            if released > 0:
                 clear(s.dq)
         for c in range(int(base), int(top) + 1):
             slope_of_level(p, c, level, bench.gradient)

@@ -17,7 +17,8 @@ LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division
 class LimitRows(NamedTuple):
     """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
 
-    lowest: int = 0  # `lower` and `upper` are methods of kernel records, whose names no field may have
+    # not `lower`: no field may have the name of a method of another record of the kernel, such as `Ends.lower`
+    lowest: int = 0
     highest: int = 1
     speed: int = 2
     acceleration: int = 3
@@ -36,7 +37,7 @@ def middle(lower, upper):
 
 @inner
 def legal(q0, ends, limits):
-    """Return whether a start (n,) [rad or m] is finite and, if `limits` is true, inside the joint limits."""
+    """Return whether a start q0 (n,) [rad or m] is finite and, if `limits` is true, inside the joint limits `ends` (Ends)."""
     for i in range(q0.shape[0]):
         a = q0[i] / ends.unit(i)
         if not abs(a) < LARGEST or (limits and ends.turns(i) < 1.5 and not ends.lower(i) <= a <= ends.upper(i)):
@@ -46,14 +47,18 @@ def legal(q0, ends, limits):
 
 @inner
 def neighbourhood(q0, rows, follow, slide, limits, ends, near):
-    """Narrow the limits `near` (`Ends`) so that no joint moves further than `follow` [rad] or `slide` [m] from q0."""
+    """Narrow the limits `near` (Ends) so that no joint moves further than `follow` [rad] or `slide` [m] from q0.
+
+    q0: (n,) start [rad or m]; rows: (L, 10) geometry; limits: whether the joint limits `ends` (Ends) hold as well.
+    """
     for i in range(q0.shape[0]):
         turning = False
         for r in range(rows.shape[0]):
             turning = turning or (int(rows[r, 8]) == i and rows[r, 9] > 0.0)
         a = q0[i] / ends.unit(i)
         width = follow if turning else slide / ends.unit(i)
-        # The width is lowered by a few units in the last place, so that the distance a caller computes is not larger by rounding.
+        # `width` is lowered by a few units in the last place, so that the distance from q0 that a caller computes is never above
+        # the limit by rounding.
         width -= 1e-15 * (abs(a) + width)
         free = ends.turns(i) > 1.5 or not limits
         low = a - width if free else max(a - width, ends.lower(i))
@@ -62,7 +67,11 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Return the index of the joint that the option `follow`, and not its own limit, holds back most against the error, or -1."""
+    """Return the joint that the option `follow`, and not its own limit, holds back most against the error, or -1 if there is none.
+
+    p: the problem; look: its errors; near: the limits that the option sets (Ends); ends: the joint limits; limits: whether they
+    hold.
+    """
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -77,7 +86,10 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether this newly held any joint."""
+    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether this newly held any joint.
+
+    q, dq, w: (n,) joint values, step and joint weights; ends: the limits (`Ends`, or `null_space.Bounds`).
+    """
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):
@@ -88,9 +100,10 @@ def hold(q, dq, w, ends):
 
 @inline
 def integrate(q, dq, limits, ends):
-    """Add dq to q. If `limits` is true, joints that may wrap are brought back inside by multiples of 2 pi, and others are clipped.
+    """Add the step dq (n,) to q (n,), and if `limits` is true, keep q inside the limits.
 
-    A joint whose dq is 0 keeps its value exactly. Returns the largest move of a joint and the largest absolute coordinate.
+    Joints that may wrap are then brought back inside by multiples of 2 pi, and others are clipped. A joint whose dq is 0 keeps its
+    value exactly. Returns the largest move of a joint and the largest absolute coordinate. ends: the limits (Ends).
     """
     moved = 0.0
     far = 0.0
@@ -102,14 +115,14 @@ def integrate(q, dq, limits, ends):
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
             a = min(max(a, lower), upper)  # After a shift by 2 pi the value may be just outside by rounding.
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # The result is NaN if any coordinate is NaN.
+        far = far if abs(a) <= far or far != far else abs(a)  # `far` becomes NaN if any coordinate is NaN.
         q[i] = a
     return moved, far
 
 
 @inner
 def turn(wanted, q, ends, i):
-    """Return the integer k for which q + 2 pi k of joint i is nearest to q + `wanted` [rad] within its limits."""
+    """Return the integer k for which q + 2 pi k, a value of joint i inside its limits (Ends), is nearest to q + `wanted` [rad]."""
     k = np.rint(wanted / TAU)
     if ends.turns(i) < 1.5:
         k = min(max(k, math.ceil((ends.lower(i) - q) / TAU)), math.floor((ends.upper(i) - q) / TAU))
@@ -118,7 +131,10 @@ def turn(wanted, q, ends, i):
 
 @inline
 def face(q, wanted, ends):
-    """Shift each joint of q by 2 pi k as near as possible to its value in `wanted` (n,) within limits; return whether q changed."""
+    """Shift each joint of q by 2 pi k as near as possible to its value in `wanted` (n,) within limits; return whether q changed.
+
+    q: (n,) joint values; ends: the limits (Ends).
+    """
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
@@ -133,7 +149,10 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Return the squared distance of two configurations (n,), modulo 2 pi where joints may wrap, each joint over its weight."""
+    """Return the squared distance of two configurations (n,), modulo 2 pi where joints may wrap, each joint over its weight.
+
+    q, other, weights: (n,); ends: the limits (Ends), which say which joints may wrap.
+    """
     total = 0.0
     for i in range(q.shape[0]):
         a = q[i] - other[i]

@@ -10,16 +10,17 @@ from .vectors import clear, dot, dot_of_columns, dot_with_column
 TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-# A column shorter than this share of the longest is rounding, without a direction: rotating it would never end.
+# A column shorter than this share of the longest is rounding, without a direction, and would be rotated forever.
 NOISE = 1e-15
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 
 @inline
 def damped(J, w, dq, linear, angular, damping):
-    """Write the damped step dq = W J' (J W J' + damping)^-1 e for six errors e = (linear, angular), solved by two 3x3 blocks.
+    """Write to dq (n,) the damped step W J' (J W J' + damping)^-1 e for six errors e = (linear, angular), solved by 3x3 blocks.
 
-    The array J (n, 6) is the transposed Jacobian, with one joint a row. w (n,): joint weights; a weight of 0 holds the joint.
+    The array J (n, 6) is the transposed Jacobian, with one joint a row. w (n,): joint weights, the diagonal of W; a weight of 0
+    holds the joint.
     """
     blocks = diagonal(damping)
     for i in range(J.shape[0]):
@@ -35,7 +36,7 @@ def damped(J, w, dq, linear, angular, damping):
 def cholesky(A, m, least):
     """Replace the lower half of the leading m x m part of A by its Cholesky factor, with the inverses of the diagonal.
 
-    Pivots below `least` become `least`.
+    `least` is the smallest pivot: pivots below it become `least`.
     """
     for j in range(m):
         s = A[j, j]
@@ -51,7 +52,7 @@ def cholesky(A, m, least):
 
 @inner
 def cholesky_solve(A, m, y):
-    """Replace the right side y (m,) by the solution of the system whose Cholesky factor is in A."""
+    """Replace y (m,) by the solution x of A x = y, where `cholesky` has replaced the matrix A (m, m) by its factor."""
     for j in range(m):
         s = y[j]
         for k in range(j):
@@ -66,10 +67,10 @@ def cholesky_solve(A, m, y):
 
 @inner
 def damped_stack(J, moves, w, dq, e, damping, A, y):
-    """Write the damped step dq = W J' (J W J' + damping)^-1 e for m errors e, six for each of F tips.
+    """Write to dq (n,) the damped step W J' (J W J' + damping)^-1 e for m errors e, six for each of F tips.
 
     The array J (n, m) is the transposed Jacobian, with one joint a row; moves (F, n): 1 if a tip's six entries of a joint's row are
-    not zero. w (n,): joint weights; a weight of 0 holds the joint. A (m, m) and y (m,) are scratch.
+    not zero. w (n,): joint weights, the diagonal of W; a weight of 0 holds the joint. A (m, m) and y (m,) are scratch.
     """
     n, m = J.shape
     F = m // 6
@@ -117,7 +118,7 @@ def rotate(x, y, cosine, sine, n):
 def make_orthogonal(A, V, m):
     """Write to V (m, m) a rotation for which A V has orthogonal columns, and replace A (n, m) by A V (Hestenes' Jacobi method).
 
-    It is faster if m is a constant at compile time.
+    The function is faster if m is a constant at compile time.
     """
     n, longest = A.shape[0], 0.0
     for r in range(m):
@@ -148,7 +149,10 @@ def make_orthogonal(A, V, m):
 
 @inner
 def make_rows_orthogonal(A, B, square):
-    """Make the rows of A orthogonal by Jacobi rotations, and rotate the rows of B alike; square receives the squared lengths."""
+    """Make the m rows of A orthogonal by Jacobi rotations, and rotate the rows of B alike.
+
+    square (m,) receives the squared lengths of the rows of A.
+    """
     m, n = A.shape
     longest = 0.0
     for k in range(m):
@@ -229,9 +233,10 @@ def lu_solve(A, b, n, m):
 
 @inner
 def lu_factor(M, swaps, m, faint):
-    """Replace M (m, m) by its factors L and U, P M = L U, with the largest pivot of each column.
+    """Replace M (m, m) by its factors L and U, P M = L U (partial pivoting).
 
-    swaps (m,): receives the rows exchanged. A pivot below `faint` times the largest pivot is raised to that value.
+    swaps (m,) receives for each k the row that was exchanged with row k. A pivot below `faint` times the largest pivot is raised to
+    that value.
     """
     largest = 0.0
     for k in range(m):
@@ -256,7 +261,7 @@ def lu_factor(M, swaps, m, faint):
 
 @inner
 def lu_substitute(M, swaps, x, m):
-    """Replace x (m,) by the solution of a system that `lu_factor` has factored."""
+    """Replace x (m,) by the solution y of M y = x, where M and `swaps` are as `lu_factor` has left them."""
     for k in range(m):
         at = swaps[k]
         x[k], x[at] = x[at], x[k]
@@ -272,7 +277,10 @@ def lu_substitute(M, swaps, x, m):
 
 @inner
 def reflect_row(V, scales, k, row, m):
-    """Apply the k-th reflection of `triangle` to m numbers of a row: row -= scale (v . row) v, with v_k = 1 and 0 before it."""
+    """Apply the k-th reflection of `triangle` to a row of m numbers: row -= scale (v . row) v, with v_k = 1 and 0 before it.
+
+    V and scales: arrays that `triangle` has filled.
+    """
     v = V[k]
     total = row[k]
     for n in range(k + 1, m):
@@ -287,8 +295,9 @@ def reflect_row(V, scales, k, row, m):
 def triangle(V, count, m, scales, order, share):
     """Factor the matrix whose columns are the first `count` rows of V (., m) by Householder's QR with column pivoting.
 
-    R is stored on and before the diagonal of each row of V, the reflections' vectors behind it; order (count,): the columns in the
-    order in which they were taken. Returns the rank: a column shorter than `share` of the first counts as zero.
+    R is stored on and before the diagonal of each row of V, the vectors of the reflections behind it, and their scales, 2 / (v .
+    v), in scales (count,); order (count,): the columns in the order in which they were taken. Returns the rank: a column shorter
+    than `share` of the first counts as zero.
     """
     first = 0.0
     for c in range(count):
@@ -313,7 +322,7 @@ def triangle(V, count, m, scales, order, share):
         inverse = 1.0 / v
         for n in range(k + 1, m):
             V[k, n] *= inverse
-        scales[k] = -v / end  # 2 / (v' v) for the reflection's vector, whose first number is 1
+        scales[k] = -v / end  # This is 2 / (v' v) for the vector v of the reflection, whose first number is 1.
         for c in range(k + 1, count):
             reflect_row(V, scales, k, V[c], m)
         V[k, k] = end
@@ -322,7 +331,7 @@ def triangle(V, count, m, scales, order, share):
 
 @inner
 def eigen(W, V, k):
-    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the rows of V."""
+    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the rows of V (k, k)."""
     for i in range(k):
         for j in range(k):
             V[i, j] = 1.0 if i == j else 0.0

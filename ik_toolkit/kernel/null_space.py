@@ -29,14 +29,18 @@ class Objectives(NamedTuple):
 class Steps(NamedTuple):
     """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
 
-    influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
-    volume: float = 1e-30  # smallest squared pivot of JJ'; it keeps the logarithm finite at a singular pose
+    # The joints can change an error if its row of the Jacobian has a larger squared norm than this.
+    influence: float = 1e-18
+    # least squared pivot of JJ', J being the Jacobian; it keeps the logarithm finite at a singular pose
+    volume: float = 1e-30
     corrections: int = 6  # highest number of steps back onto the target; convergence is quadratic, so 2 or 3 suffice
-    difference: float = 1e-6  # step of a difference quotient of the manipulability [rad, or length over the reach]
+    # step by which the manipulability is differentiated numerically [rad, or length over the reach]
+    difference: float = 1e-6
     smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad, or length over the reach]
     # largest move of a joint in a step [rad, or length over the reach], because the null space is curved
     longest: float = 0.3
-    single: float = 1e-24  # A row of J counts as zero if its squared norm is below this share of the largest one.
+    # A row of the Jacobian counts as zero if its squared norm is below this share of the largest one.
+    single: float = 1e-24
     # Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
     damping: float = 1e-10
 
@@ -62,7 +66,10 @@ class Bounds(NamedTuple):
 
 @spliced
 def make_bounds(places, ends, what, limits):
-    """Make the Bounds of a chain for an objective, in the array `places` (3, n)."""
+    """Return the Bounds of a chain for an objective, stored in the array `places` (3, n).
+
+    ends: the joint limits (Ends); what: a number of `Objectives`; limits: whether the joint limits are kept.
+    """
     box = Bounds(places)
     for i in range(ends.n):
         free = ends.turns(i) > 1.5 or not limits
@@ -75,11 +82,37 @@ def make_bounds(places, ends, what, limits):
 
 
 @inline
+def solved_problem(block, rows, ends, row, orders, n, what):
+    """Return what a refinement of an answer works on: problem, Orders, joint weights (n,), limits (Ends) and their Bounds.
+
+    The q of the answer is in p.desk.q of the problem p. The arrays are those of `refine`, as views; block: scratch memory.
+    """
+    o = read(Orders, orders)
+    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
+    block[0] = 0.0
+    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
+    full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
+    (places,) = cut(block, np.float64, ((3, n),))
+    for i in range(n):
+        p.desk.q[i] = row[SIZE.answer + i] / full.unit(i)
+    return p, o, orders[first : first + n], full, make_bounds(places, full, what, o.limits > 0.0)
+
+
+@inline
+def replace_answer(p, q, full, row):
+    """Write q (n,) and the errors that problem p keeps as BEST_OF_ALL to an answer `row`; full: `Ends`."""
+    row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
+    p.report(BEST_OF_ALL, row)
+    for i in range(q.shape[0]):
+        row[SIZE.answer + i] = q[i] * full.unit(i)
+
+
+@inline
 def log_manipulability(p, ends):
     """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
-    J consists of the rows of the Jacobian, of all tips, that are not zero; its columns for prismatic joints are taken per metre.
-    p.desk.J and p.desk.A are overwritten.
+    J consists of the rows of the Jacobian, of all tips, that are not zero; its columns for prismatic joints are taken per metre. p:
+    the problem, whose p.desk.J (the Jacobian) and p.desk.A are overwritten; ends: `Ends`.
     """
     J, A = p.desk.J, p.desk.A
     m = 0
@@ -100,16 +133,16 @@ def log_manipulability(p, ends):
 
 @inline
 def objective_goal(what, ends, ref, i):
-    """Return the value towards which the objective moves joint i: the middle of its range, or its value in `ref`.
+    """Return the value towards which an objective moves joint i: the middle of its range, or its value in `ref` (n,).
 
-    Angles are in rad, prismatic joints in lengths over the reach (`ref`: in metres).
+    It is in rad or, for prismatic joints, in lengths over the reach (in `ref`: in metres). what: a number of `Objectives`.
     """
     return ends.low(i) + 0.5 * ends.span(i) if what == OBJECTIVE.mid_range else ref[i] / ends.unit(i)
 
 
 @inline
 def add_inside(q, dq, factor, box):
-    """Add factor * dq to q, inside the bounds."""
+    """Add `factor` times the step dq (n,) to q (n,), and clip q to the limits (Bounds)."""
     for i in range(q.shape[0]):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
 
@@ -119,7 +152,7 @@ def onto_target(p, weights, box, enough):
     """Move p.desk.q back onto the target by damped least squares, because a null-space step leaves it by a second-order error.
 
     weights (n,): joint weights; box: joint limits (Bounds); enough: squared error at which to stop, or 0 to stop inside the
-    tolerances. Returns the last evaluation. Afterwards p.desk.J belongs to an earlier q than p.desk.q.
+    tolerances. Returns the last evaluation. Afterwards p.desk.J may belong to an earlier q than p.desk.q.
     """
     s = p.desk
     for k in range(NULL.corrections):
@@ -138,7 +171,7 @@ def onto_target(p, weights, box, enough):
 
 @inline
 def direction(p, z, box):
-    """Write to dq (in p.desk) the part of the joint step z (n,) that moves no tip, while joints at a bound are held.
+    """Write to p.desk.dq the part of the joint step z (n,) that moves no tip, while joints at a bound are held.
 
     The projection is orthogonal in the metric 1/w of the joint weights p.desk.w. It uses p.desk.J, and changes p.desk.w and
     p.desk.y. box: joint limits (Bounds).
@@ -161,7 +194,10 @@ def direction(p, z, box):
 
 @inline
 def objective(p, what, ends, box, ref, weights):
-    """Return the value of the objective (see `refine`) at p.desk.q, whose Jacobian is in p.desk.J; less is better."""
+    """Return the value of an objective (see `refine`) at p.desk.q, whose Jacobian is in p.desk.J; less is better.
+
+    what: a number of `Objectives`; ends: `Ends`; box: `Bounds`; ref, weights: (n,) values to aim at [rad or m], and joint weights.
+    """
     if what == OBJECTIVE.manipulability:
         return -log_manipulability(p, ends)
     total = 0.0
@@ -174,9 +210,10 @@ def objective(p, what, ends, box, ref, weights):
 
 @spliced
 def downhill(p, what, ends, box, ref, value, z):
-    """Write to z (n,) a direction in which the objective, whose value at p.desk.q is given, falls.
+    """Write to z (n,) a direction in which an objective (see `refine`) falls.
 
-    For an objective that is a distance this is the full Newton step. The Jacobian at p.desk.q is computed again.
+    For an objective that is a distance this is the full Newton step. The Jacobian at p.desk.q is computed again. value: the
+    objective at p.desk.q; the other arguments are those of `objective`.
     """
     q = p.desk.q
     n = q.shape[0]
@@ -210,21 +247,15 @@ def secant(old, before, way, dq, gain):
 
 @inline
 def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
-    """Do the work of `refine`, whose arrays are given as views; block: scratch memory."""
+    """Improve a solution by a secondary objective: the function `refine`, with its arrays given as views.
+
+    block: scratch memory.
+    """
     n = ref.shape[0]
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    weights = orders[first : first + n]
-    full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
-    (places,) = cut(block, np.float64, ((3, n),))
-    box = make_bounds(places, full, what, o.limits > 0.0)
+    p, o, weights, full, box = solved_problem(block, rows, ends, row, orders, n, what)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)
-    for i in range(n):
-        q[i] = row[SIZE.answer + i] / full.unit(i)
     gain = 1.0
     fresh = False  # whether the last step was an improvement
     value = np.inf
@@ -260,10 +291,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
             copy(dq, way)
         add_inside(q, dq, gain * min(1.0, NULL.longest / size), box)
     if taken > 0:
-        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
-        p.report(BEST_OF_ALL, row)
-        for i in range(n):
-            row[SIZE.answer + i] = old[i] * full.unit(i)
+        replace_answer(p, old, full, row)
 
 
 @cached
@@ -292,9 +320,10 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
 
 @dual
 def is_wide(J, m):
-    """Return whether a Jacobian J (n, m) has at least as many joints as errors that joints move; a row of zeros moves none.
+    """Return whether a Jacobian has at least as many joints as errors that joints move; a row of zeros moves none.
 
-    Then JJ' is factored for the pseudo-inverse, else J'J, which is singular if some motion of the joints moves nothing.
+    J (n, m) is transposed: it has a column for each error. If the result is true, JJ' is factored for the pseudo-inverse, else J'J,
+    which is singular if some motion of the joints moves nothing.
     """
     n, top, moved = J.shape[0], 0.0, 0
     if n >= m:

@@ -18,7 +18,7 @@ COUNTS = 5  # how many numbers at the start of a packed array give the shapes of
 
 
 def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.ndarray) -> np.ndarray:
-    """Pack the arrays of a chain or a tree into one array (K,)."""
+    """Return the arrays of a chain or a tree (see `chain.Chain`, `chain.TreeChain`) packed into one array (K,)."""
     first = len(rows), ends.size // ends.shape[-1], ends.shape[-1], seeds.shape[1], len(seeds)
     return np.concatenate([first, rows.ravel(), ends.ravel(), seeds.ravel(), features.ravel().view(float)])
 
@@ -35,13 +35,13 @@ class Parts(NamedTuple):
 
 @inline
 def array_sizes(chain):
-    """Return the counts in a packed array: joints, tips, numbers in `ends` of one tip, coordinates, seeds."""
+    """Return the counts at the start of a packed array: joints, tips, numbers in `ends` of one tip, coordinates, and starts."""
     return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
 
 
 @inline
 def part(chain):
-    """Return the parts of a packed array as views of it."""
+    """Return the four arrays in a packed array `chain`, as views of it."""
     L, F, K, n, N = array_sizes(chain)
     at_ends = COUNTS + ROW * L
     at_seeds = at_ends + F * K
@@ -52,6 +52,9 @@ def part(chain):
 
 @inline
 def scratch(chain):
-    """Return the length of a scratch block for a search, with room for a copy of `ends` that the option `follow` narrows."""
+    """Return the length of the scratch memory that a search needs for a packed array `chain`.
+
+    It has room for a copy of `ends`, in which the option `follow` narrows the limits.
+    """
     L, F, K, n, N = array_sizes(chain)
     return space(n, 6 * F, L, N) + F * K + LINE

@@ -44,9 +44,10 @@ from .counted_error import KIND, count_column, count_goal_column, shape
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
-# A goal is the pose that the search aims at (12), then the target's own position (3); they differ if the target is out of reach.
+# Length of a goal, the array that holds a target: the pose that the search aims at (12), then the target's own position (3). The
+# two positions differ if the target is out of reach.
 GOAL = 15
-# Indices of stored errors: of the best attempt, of the solution nearest q0, and of the present evaluation.
+# Indices of stored errors in `Desk.errors`: those of the best attempt, of the solution nearest q0, and of the present evaluation.
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
 
 
@@ -56,34 +57,30 @@ class Desk(NamedTuple):
 
     q: Array  # (n,) current coordinates
     dq: Array  # (n,) joint step computed by the solver rule (the iterative method)
-    start: Array  # (n,) start of the search: q0, or home if no q0 is given
+    start: Array  # (n,) where the search starts: q0, or home if no q0 is given
     w: Array  # (n,) joint weights; a weight of 0 holds the joint in this step
     x: Array  # (4 n + 8,) internal state of the solver rule, set to zero when an attempt starts
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
     y: Array  # (m,) errors of the step, with rotations as rotation vectors
-    # (m,) only for several tips: the errors whose sum of squares is minimised, with rotations as 2 sin(angle/2) times the axis
+    # (m,) only for several tips: the errors whose sum of squares is minimised, rotations as 2 sin(angle/2) times the axis
     e: Array
-    # (3,) evaluations made, evaluations allowed, number of the attempt (with levels: its `Phases`)
+    # (3,) number of evaluations made, number allowed, and number of the attempt (with levels its phase, see `level_search.Phases`)
     spent: Array
     tables: Array  # (8, k, k) scratch for matrices over the coordinates or the errors; k is the largest of n, m and 11
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
-        """Return whether the budget allows a rule this number of evaluations, and one more for the search itself."""
+        """Return whether the budget allows a solver rule this number of evaluations, and one more for the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
 @spliced
 def make_desk(block, n, m):
-    """Make the working memory for n coordinates and m errors, from the memory `block`."""
-    s = Desk(
-        *cut(
-            block,
-            np.float64,
-            (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 11), max(n, m, 11)), (3, m // 6, 2)),
-        )
-    )
+    """Return the working memory (Desk) for n coordinates and m errors, cut from the memory `block`."""
+    k = max(n, m, 11)
+    sizes = (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, k, k), (3, m // 6, 2))
+    s = Desk(*cut(block, np.float64, sizes))
     for i in range(n):
         for k in range(m):
             s.J[i, k] = 0.0
@@ -93,9 +90,10 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position [lengths over the reach] and rotation, in the measures for targets of this kind.
+    """Return the squared tolerances of position [over the reach] and rotation for targets of a kind of `TargetKinds`.
 
-    Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts.
+    Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts. orders: an `Orders`; scale:
+    internal unit of length [m].
     """
     tol_p = orders.tol_p / scale
     return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == KIND.part else chord(orders.tol_r)
@@ -103,9 +101,10 @@ def tolerances(orders, kind, scale):
 
 @inline
 def take(T, ends, task, goal, orders):
-    """Convert a target T (4, 4) and write it to goal (GOAL,).
+    """Write a target T (4, 4) [m, base axes] to goal (GOAL,), in the frame and the units of the search.
 
-    Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose.
+    Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose. ends: `Ends`; task:
+    numbers of a `Task`; orders: an `Orders`.
     """
     if not rigid(T, RIGID.axes):
         return -1.0
@@ -122,21 +121,29 @@ def take(T, ends, task, goal, orders):
 def from_target(goal, linear):
     """Return the position error measured from the target itself; `linear` is measured from the point that the search aims at.
 
-    The two points differ if the search aims at the edge of the reach, which it never does if only a part of the error counts.
+    The two points differ if the search aims at the edge of the reach, which it never does if only a part of the error counts. goal:
+    (GOAL,) target.
     """
     return linear + (at3(goal, 12) - at3(goal, 9))
 
 
 @inline
 def tip_at(rows, ends, q, joints, trig):
-    """Return the axes of the last joint and the tip of one chain at q."""
+    """Return the axes of the last joint (M3) and the position of the tip (V3) of one chain at q (n,).
+
+    rows: (L, 10) geometry; ends: `Ends`; joints, trig: filled by `kinematics.fk`.
+    """
     now = fk(rows, q, joints, trig)
     return now.axes, now.point + now.axes.times(at3(ends.flat, 21))
 
 
 @inline
 def errors_at(task, ends, goal, kept, axes, tip):
-    """Return the part of the pose error (linear, angular) that counts for a task."""
+    """Return the part of a tip's pose error (linear, angular) that counts.
+
+    task: numbers of a `Task`, which say what counts; ends: `Ends`; goal: (GOAL,) target; kept: (IN.size,) is filled by `shape`;
+    axes (M3), tip (V3): from `tip_at`.
+    """
     linear, angular = pose_error(goal, axes, tip)
     kind = int(task[WHAT.kind])
     if kind == KIND.pose:
@@ -148,7 +155,10 @@ def errors_at(task, ends, goal, kept, axes, tip):
 
 @inline
 def counted(kind, kept, linear, angular):
-    """Convert a Jacobian column of the tip (linear, angular) to the errors that count."""
+    """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
+
+    kind: a number of `TargetKinds`; kept: (IN.size,) as `shape` has filled it.
+    """
     if kind == KIND.pose:
         return linear, angular
     if kind == KIND.position:
@@ -158,7 +168,10 @@ def counted(kind, kept, linear, angular):
 
 @inline
 def counted_goal(kind, kept, linear, angular):
-    """Convert a motion of the target (linear, angular) to the errors that count."""
+    """Return by how much a small motion (linear, angular) of the target changes the errors that count.
+
+    kind: a number of `TargetKinds`; kept: (IN.size,) as `shape` has filled it.
+    """
     if kind == KIND.part:
         return count_goal_column(kept, linear, angular)
     return counted(kind, kept, linear, angular)
@@ -166,10 +179,11 @@ def counted_goal(kind, kept, linear, angular):
 
 @inline
 def fill(rows, own, task, kept, joints, tip, J, first):
-    """Write the Jacobian of one chain to J[:, first : first + 6].
+    """Write the transposed Jacobian of one chain to the six columns J[:, first : first + 6].
 
-    own: whether row i of the chain belongs to coordinate i alone, for all rows. Otherwise several rows may belong to one
-    coordinate, and their columns are added.
+    own: whether row i of the chain belongs to coordinate i alone, for all rows; otherwise several rows may belong to one
+    coordinate, and their columns are added. rows: (L, 10) geometry; task, kept: as for `errors_at`; joints: as `kinematics.fk`
+    fills it; tip (V3): position of the tip.
     """
     kind = int(task[WHAT.kind])
     if not own:
@@ -188,7 +202,7 @@ def fill(rows, own, task, kept, joints, tip, J, first):
 
 @inline
 def add_column(J, i, first, ratio, u, v):
-    """Add ratio times (u, v) to J[i, first : first + 6]."""
+    """Add `ratio` times the vectors u and v to J[i, first : first + 6], the numbers of joint i in one tip's Jacobian."""
     J[i, first] += ratio * u.x
     J[i, first + 1] += ratio * u.y
     J[i, first + 2] += ratio * u.z
@@ -200,7 +214,10 @@ def add_column(J, i, first, ratio, u, v):
 # ------------------------------------------------------------------------------------------------------- for the tracker
 @inline
 def to_base(ends, task, y, out):
-    """Convert errors y (6,) that `stack` wrote to base axes and metres; if only a part counts, they stay in the task's axes."""
+    """Write to out (6,) the errors y (6,) of one tip from `stack`, converted to base axes and metres.
+
+    If only a part of the error counts, they stay in the task's axes. ends: `Ends`; task: numbers of a `Task`.
+    """
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
     if int(task[WHAT.kind]) < KIND.free:
         base = rotation_at(ends.flat, 0)
@@ -210,13 +227,14 @@ def to_base(ends, task, y, out):
 
 
 @inline
-def local_motion(ends, task, kept, V, out):
-    """Convert a twist or acceleration V (6,) of a target [base axes, m, rad] to the errors that count.
+def local_motion(axes, scale, task, kept, V, out):
+    """Write to out (6,) a twist or acceleration V (6,) of a target [m, rad], converted to the errors that count.
 
     The result's lengths are over the arm's reach; its axes are the first joint's, or the task's if only a part of the error counts.
+    axes (M3): turns the axes of V into those of the first joint; scale: internal unit of length [m]; task, kept: as for
+    `errors_at`.
     """
-    base = rotation_at(ends.flat, 0)
-    u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))
+    u, v = axes.times(at3(V, 0)) * (1.0 / scale), axes.times(at3(V, 3))
     u, v = counted_goal(int(task[WHAT.kind]), kept, u, v)
     put3(out, 0, u)
     put3(out, 3, v)

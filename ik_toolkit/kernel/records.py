@@ -28,9 +28,9 @@ class Orders(NamedTuple):
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
     c: float  # An attempt from a start in the table is given up in iteration k if its squared error exceeds c rho^k.
-    rho: float  # decay of that bound per iteration, see c
+    rho: float  # factor of that bound in each iteration (see c)
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
-    rho_free: float  # decay of that bound per iteration, see c_free
+    rho_free: float  # factor of that bound in each iteration (see c_free)
     patience: float  # number of the first attempt that gets more iterations, see `search.GiveUpRules`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
@@ -42,23 +42,27 @@ class Orders(NamedTuple):
 
 
 class Task(NamedTuple):
-    """Which part of a tip's pose error counts. Lengths are over the reach; the free axis is in the last joint's frame."""
+    """Which part of a tip's pose error counts: the numbers that stand for one target in an `orders` array.
+
+    Lengths are over the reach; the free axis is in the last joint's frame.
+    """
 
     kind: float  # a number of `counted_error.TargetKinds`
     frame: float = 0.0  # axes in which weights and dead bands are given, a number of `counted_error.AxesOfParts`
     other: float = -1.0  # index of the tip that the target is relative to; -1 means the base
-    free: float = 0.0  # 1 if the tip may turn about the axis (ax, ay, az), else 0
+    free: float = 0.0  # 1 if the tip may turn freely about the axis (ax, ay, az), else 0
     ax: float = 0.0
     ay: float = 0.0
     az: float = 0.0
-    # w0 to w2 weight the position error, w3 to w5 the rotation error; an error of weight 0 does not count.
+    # w0 to w2 are the weights of the position error, w3 to w5 of the rotation error; an error of weight 0 does not count.
     w0: float = 1.0
     w1: float = 1.0
     w2: float = 1.0
     w3: float = 1.0
     w4: float = 1.0
     w5: float = 1.0
-    s0: float = 0.0  # s0 to s5 are the dead bands: sizes up to which the same six errors count as zero
+    # s0 to s5 are dead bands: errors up to this size count as zero, in the order of the weights [over the reach, rad]
+    s0: float = 0.0
     s1: float = 0.0
     s2: float = 0.0
     s3: float = 0.0
@@ -75,12 +79,12 @@ class Answer(NamedTuple):
     restarts: float  # number of attempts after the first one
     position: float  # position error [m], the largest of all tips
     rotation: float  # rotation error [rad], the largest of all tips
-    evaluations: float  # how often the errors were evaluated
-    history: float  # number of rows of history (one per evaluation) that were written
+    evaluations: float  # number of evaluations of the errors
+    history: float  # number of rows of history that were written (one for each evaluation)
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
-    held: float  # index of the joint that the option `follow` holds back (status TOO_FAR), or -1
-    agreed: float  # of a search by levels: number of attempts that found this minimum, else 0
+    held: float  # index of the joint that the option `follow` holds back most (status TOO_FAR), or -1
+    agreed: float  # number of attempts that found this minimum, in a search by levels; else 0
 
 
 @compiled
@@ -93,11 +97,11 @@ class Miss(NamedTuple):
 
 
 class ArraySizes(NamedTuple):
-    """How many numbers Orders, Task, Answer and Miss take in an array; whatever follows in the array begins at that index."""
+    """How many numbers each record takes in an array, which is also the index at which the next part of the array begins."""
 
     orders: int = len(Orders._fields)
     task: int = len(Task._fields)
-    weights: int = len(Orders._fields) + len(Task._fields)  # both, for one tip; the joint weights follow
+    weights: int = len(Orders._fields) + len(Task._fields)  # the two together, for one tip; the joint weights follow
     answer: int = len(Answer._fields)
     miss: int = len(Miss._fields)
     # a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
@@ -105,16 +109,17 @@ class ArraySizes(NamedTuple):
 
 
 SIZE = ArraySizes()
-# The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
+# The index of each field in its array, for example row[AT.status], orders[ORDER.seed], task[WHAT.kind].
 AT = Answer._make(range(SIZE.answer))
 ORDER = Orders._make(range(SIZE.orders))
 WHAT: Any = Task._make(range(SIZE.task))
-POINTS = 24  # index in the array of `Ends` at which the numbers of the coordinates begin, after base (12) and tip (12)
+# where the numbers of the coordinates begin in the array of `Ends`, after the poses of base (12) and tip (12)
+POINTS = 24
 
 
 @compiled
 class Ends(NamedTuple):
-    """Both ends of a chain and its coordinates' limits, all in one flat array, because passing each array takes time.
+    """Both ends of a chain and the limits of its n coordinates, in one flat array, because passing each array takes time.
 
     The array holds the poses of base and tip (each a rotation matrix by rows, then a point), n numbers for each property of the
     coordinates, then the numbers of the chain as a whole. Lengths are divided by `scale`, a power of two near the reach.
@@ -153,7 +158,7 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 7 * self.n]
 
     def bound(self, k):
-        """Return one of six bounds [lengths over the reach] on the robot's reach.
+        """Return one of six bounds [over the reach] on where the arm can reach.
 
         k = 0 and 1: largest and smallest distance of the tip from the first joint; k = 2 and 3: the same for the last joint instead
         of the tip. k = 4 and 5: lowest and highest position of the base of the arm, which may be mounted on a vertical prismatic
@@ -162,7 +167,7 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 1 + 7 * self.n + k]
 
     def confine(self, i, low, high):
-        """Give coordinate i new limits and keep it from wrapping."""
+        """Set the limits of coordinate i to `low` and `high`, and keep it from wrapping."""
         self.flat[POINTS + i] = low
         self.flat[POINTS + self.n + i] = high
         self.flat[POINTS + 2 * self.n + i] = 0.0
@@ -170,7 +175,7 @@ class Ends(NamedTuple):
 
 # ---------------------------------------------------------------------------------------------------- arrays <-> records
 def read(cls: type, array: Array, start: int = 0) -> Any:
-    """Make a NamedTuple of class `cls` from the numbers array[start:]."""
+    """Return a NamedTuple of class `cls` made of the numbers array[start:]; one whose only field is an array gets them all."""
     if list(cls.__annotations__.values()) == [Array]:
         return cls(array[start:])
     return cls(*array[start : start + len(cls._fields)])  # type: ignore[attr-defined]
@@ -185,7 +190,8 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # Returning an array needs numba's reference counting, which INLINE leaves out.
+# Making a record that holds an array needs numba's reference counting, which INLINE leaves out.
+@overload(read, jit_options=BUILD)
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
@@ -195,7 +201,7 @@ def _read_array(cls, array, start=0):
 
 
 def write(array, start, record):
-    """Write the numbers of a NamedTuple to array[start:]."""
+    """Write the numbers of a NamedTuple `record` to array[start:]."""
     array[start : start + len(record)] = record
 
 
@@ -206,6 +212,6 @@ def _write(array, start, record):
 
 @inline
 def copy(source, target):
-    """Copy `source` to `target` element by element, because numba compiles slices slowly."""
+    """Copy the numbers of `source` (n,) to `target` one by one, because numba takes long to compile slices."""
     for i in range(source.shape[0]):
         target[i] = source[i]

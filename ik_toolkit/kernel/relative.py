@@ -1,29 +1,29 @@
 """Targets given relative to another tip: where such a target is, and how it moves with the other tip."""
 
 from ..compile.jit import inner
-from .algebra import M3, V3, at3, product, put3, put_axes, rotation_at, transposed
+from .algebra import at3, pose_from, product, put3, put_axes, rotation_at, transposed
 from .counted_error import add_pairs, plus_cross
 from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# Layout of the array (LINK,) that describes a target fixed to another tip: TURN, POINT and FRAME are indices.
+# TURN, POINT and FRAME are indices in an array (LINK,), which describes a target fixed to another tip.
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
-FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
+FRAME = 12  # pose (12) of the other tip's first joint, in the frame of the first joint of the tip that has the target
 LINK = 24  # length of the array (LINK,)
 
 
 @inner
 def link_to(T, ends, other, link):
-    """Write to link (LINK,) a target T (4, 4) [m] given in another tip's frame.
+    """Write to link (LINK,) a target T (4, 4) [m] that is given in another tip's frame.
 
-    `ends` is the `Ends` of the tip that has this target, `other` the `Ends` of the tip it is relative to.
+    `ends` is the `Ends` of the tip that has this target, `other` the `Ends` of the tip in whose frame it is given.
     """
     tool = rotation_at(other.flat, 12)
-    turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
-    put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
-    put3(link, POINT, tool.times(V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())))
+    target = pose_from(T)
+    put_axes(link, TURN, product(tool, product(target.axes, transposed(rotation_at(ends.flat, 12)))))
+    put3(link, POINT, tool.times(target.point * (1.0 / ends.scale())))
     base = transposed(rotation_at(ends.flat, 0))
     put_axes(link, FRAME, product(base, rotation_at(other.flat, 0)))
     put3(link, FRAME + 9, base.times(at3(other.flat, 9) - at3(ends.flat, 9)))
@@ -31,7 +31,7 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) the present pose of a target that is fixed to another tip by `link` (LINK,).
+    """Write to goal (GOAL,) the present pose of a target that is fixed to another tip as `link` (LINK,) says.
 
     pose (12,): axes of the last joint in the other tip's chain (9), then the position of that tip (3).
     """
@@ -43,9 +43,17 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract from J the motion of a tip's target, which moves with another tip; rows, joints and pose are those of the other tip.
+    """Subtract the motion of a tip's target, which moves with another tip, from the transposed Jacobian J (n, m).
 
-    J (n, m) is the transposed Jacobian; `first` is the first of the six columns of the tip that has the target.
+    Args:
+        rows: (L, 10) geometry of the other tip's chain.
+        task: Numbers of the `Task` of the tip that has the target.
+        kept: (IN.size,) as `counted_error.shape` has filled it for this tip.
+        joints: Axes and points of the joints of the other chain.
+        pose: (12,) pose of the other tip, see `carry`.
+        link: (LINK,) where the target is on the other tip.
+        J: (n, m) transposed Jacobian.
+        first: First of the six columns of the tip that has the target.
     """
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
     frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
@@ -60,9 +68,18 @@ def fill_goal(rows, task, kept, joints, pose, link, J, first):
 def add_goal_curvature(own_rows, own_joints, rows, joints, pose, link, bend, H):
     """Add to H (n, n) what `counted_error.add_curvature` leaves out if a tip's target moves with another tip.
 
-    bend: what `add_curvature` returned for the tip; own_rows and own_joints are of its chain, rows, joints and pose those of the
-    other tip. A pair of joints of the other chain acts as one of the tip's own does when tip and target change places; a pair of
-    one joint from each chain acts on the rotation alone, as if the other chain, walked backwards, came before the tip's own.
+    A pair of joints of the other chain acts as one of the tip's own does when tip and target change places; a pair of one joint
+    from each chain acts on the rotation alone, as if the other chain, walked backwards, came before the tip's own.
+
+    Args:
+        own_rows: (L, 10) geometry of the chain of the tip that has the target.
+        own_joints: Axes and points of the joints of this chain.
+        rows: Geometry of the other chain.
+        joints: Axes and points of the joints of the other chain.
+        pose: (12,) pose of the other tip, see `carry`.
+        link: (LINK,) where the target is on the other tip.
+        bend: What `add_curvature` returned for the tip.
+        H: (n, n) matrix to add to.
     """
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
     frame = rotation_at(link, FRAME)

@@ -36,16 +36,17 @@ SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
 class GiveUpRules(NamedTuple):
     """Numbers that decide when an attempt or a whole search is given up.
 
-    An attempt is given up when its squared error exceeds a bound that falls in each iteration. Near a singular pose
-    that is too early, so later attempts are patient: they get more iterations and a bound that falls more slowly.
+    An attempt is given up when its squared error exceeds a bound that falls in each iteration. Near a singular pose that is too
+    early, so later attempts are patient: they get more iterations and a bound that falls more slowly.
     """
 
-    patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
-    patient_decay: float = 0.6  # factor of the give-up bound per iteration of a patient attempt
+    patient_iterations: float = 2.0  # by how much the highest number of iterations is multiplied in a patient attempt
+    patient_decay: float = 0.6  # factor of the bound in each iteration of a patient attempt
     unreachable_attempts: int = 3  # number of attempts if a target is proven out of reach; they aim at the reach's edge
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
-    overflow: float = 1e300  # squared error above which an attempt has diverged
-    far_off: float = 1e6  # coordinate [rad, or length over the reach] above which an attempt has diverged
+    overflow: float = 1e300  # squared error above which an attempt ends, because it has diverged
+    # size of a coordinate [rad, or length over the reach] above which an attempt ends, because it has diverged
+    far_off: float = 1e6
     # A step counts as standing still if no joint moves further than this [rad, or length over the reach].
     rest: float = 1e-9
 
@@ -55,16 +56,16 @@ END = GiveUpRules()
 
 @compiled
 class SearchInput(NamedTuple):
-    """The arrays that the search reads and writes for every target of a call."""
+    """What a search is given for all targets of a call, and the arrays that it writes to."""
 
     orders: Orders
-    near: Ends  # the limits of a step, which the option `follow` makes narrower than those of the joints
+    near: Ends  # the limits of a step, narrower than those of the joints if the option `follow` is set
     box: Ends  # the limits of the joints
     weights: Array  # (n,) joint weights
     table: StartTable
     best: Array  # (n,) the configuration of the least error so far
     closest: Array  # (n,) the solution nearest the start so far
-    history: Array  # (H, SIZE.past + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
+    history: Array  # (H, SIZE.past + n) rows of history, see `note`
 
 
 @compiled
@@ -75,9 +76,10 @@ class Patience(NamedTuple):
     """
 
     iterations: float  # highest number of iterations
-    ceiling: float  # the bound at the start [squared error]
-    decay: float  # factor of the bound in each iteration
-    known: float  # squared distance to `SearchInput.closest` below which the attempt ends, because it would end there (0: never)
+    ceiling: float  # squared error above which the attempt is given up in its first iteration
+    decay: float  # what that squared error is multiplied by in each further iteration
+    # An attempt nearer than this to `SearchInput.closest` [squared distance] ends, because it would end there (0: never).
+    known: float
 
 
 @compiled
@@ -86,7 +88,7 @@ class Spent(NamedTuple):
 
     evaluations: int  # number of evaluations of the errors
     steps: int  # number of iterations
-    noted: int  # number of rows written to `history`
+    noted: int  # number of rows of `SearchInput.history` that were written
 
 
 @compiled
@@ -104,7 +106,8 @@ class Attempts(NamedTuple):
 def judge_evaluation(e, k, ceiling, patience, count, o):
     """Return the final status of an attempt after evaluation e in its iteration k, or CODE.going if it continues.
 
-    ceiling: squared error above which the attempt is given up; count: evaluations so far; o: the options of the solve.
+    ceiling: squared error above which the attempt is given up; patience: limits of the attempt; count: evaluations so far; o: the
+    options of the solve (Orders).
     """
     if e.good:
         return CODE.converged
@@ -119,7 +122,7 @@ def judge_evaluation(e, k, ceiling, patience, count, o):
 
 @inner
 def note(p, e, ends, history, row, attempt):
-    """Write one row of history: position error [m], rotation error [rad], number of the attempt, and q [rad or m]."""
+    """Write a row of history: position error [m], rotation error [rad], number of the attempt, and q [rad or m]."""
     p.keep(e, NOW)
     history[row, 0], history[row, 1] = p.left(NOW)
     history[row, 2] = attempt
@@ -132,7 +135,8 @@ def last_attempt(attempts, given):
     """Return the number of the attempt from q0 or home that is never given up early (-1: none), and how many attempts are made.
 
     This attempt is the last of several. It does the same as the only attempt of a search without restarts, so that more attempts
-    never solve fewer targets. If q0 is given, it repeats the first attempt, which may have been given up early, and is not counted.
+    never solve fewer targets. If q0 is given (given: 1, else 0), it repeats the first attempt, which may have been given up early,
+    and is not counted in `attempts`, the number that was asked for.
     """
     return (attempts - 1 + given, attempts + given) if attempts > 1 else (-1, attempts)
 
@@ -141,8 +145,9 @@ def last_attempt(attempts, given):
 def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
     """Iterate from p.desk.q until the attempt converges, fails or is given up.
 
-    The q of the least error of all attempts is copied to `job.best`, and p keeps its errors as BEST_OF_ALL. Returns the status of
-    the attempt, its last evaluation, the least squared error of all attempts and the updated counts (Spent).
+    The q of the least error of all attempts is copied to `job.best`, and p keeps its errors as BEST_OF_ALL. rule: the solver rule;
+    job: `SearchInput`; spent, least: counts and least squared error of the earlier attempts; attempt: number of this one. Returns
+    the status of the attempt, its last evaluation, the least squared error of all attempts and the updated counts (Spent).
     """
     q, dq, w, o = p.desk.q, p.desk.dq, p.desk.w, job.orders
     boxed = o.limits > 0.0 or o.follow > 0.0
@@ -198,8 +203,9 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
 def search(rule, p, job, needs_jacobian, excess):
     """Make attempts until one converges, or as many as the option `closest` asks for, and choose among their results.
 
-    The start p.desk.start (n,) is q0 or home. `excess` > 0 is by how much the target is proven out of reach [lengths over the
-    reach]. Leaves q of the answer in p.desk.q. Returns the Answer, and the index of its stored errors (BEST_OF_ALL or NEAREST).
+    The start p.desk.start (n,) is q0 or home. rule: the solver rule; job: `SearchInput`; needs_jacobian: whether the rule reads
+    p.desk.J; `excess` > 0 is by how much the target is proven out of reach [over the reach]. Leaves q of the answer in p.desk.q.
+    Returns the Answer, and the index of its errors in `Desk.errors` (BEST_OF_ALL or NEAREST).
     """
     o, q, start = job.orders, p.desk.q, p.desk.start
     given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
@@ -240,7 +246,7 @@ def search(rule, p, job, needs_jacobian, excess):
 
 @inner
 def conclude(p, job, made, spent, excess):
-    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start; return status, counts and errors (Answer)."""
+    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start; return its status, counts and errors (Answer)."""
     o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
@@ -335,7 +341,8 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[SIZE.orders : first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # Both read the first tip's limits; all tips have the same limits.
+    # Both read the limits of the first tip, because all tips have the same limits.
+    box, near = Ends(ends, n), Ends(near_ends, n)
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
-from .algebra import V3, at3, put3, put_axes, rotation_at
+from .algebra import V3, at3, put3, put_axes, rotation_at, transposed
 from .counted_error import IN, KIND, TipState, add_curvature, angle_left, counts, turn_axis, vector_ratio
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
@@ -34,7 +34,7 @@ from .vectors import clear
 class Look(NamedTuple):
     """Errors of one tip at a configuration, with lengths divided by the arm's reach.
 
-    They are expressed in the frame of the first joint, or in that of the mask if only a part of the error counts.
+    They are expressed in the frame of the first joint or, if only a part of the error counts, in the axes that the `Task` names.
     """
 
     point: V3  # position of the tip
@@ -112,7 +112,7 @@ class Serial(NamedTuple):
         return V3(J[i, 0], J[i, 1], J[i, 2]).dot(look.linear) + V3(J[i, 3], J[i, 4], J[i, 5]).dot(look.angular)
 
     def norm(self, look, weight):
-        """Return the norm of the position error and the rotation vector, the latter multiplied by `weight`."""
+        """Return the norm of the position error and the rotation vector of `look`, the latter multiplied by `weight`."""
         ratio = weight * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
@@ -121,7 +121,7 @@ class Serial(NamedTuple):
         return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of coordinate i alone that minimises the error.
+        """Return the move of coordinate i alone that minimises the error `look`.
 
         The move is exact if only the position counts and the joint is revolute, else it minimises the linearised error. It is 0 if
         a measure of the coordinate's effect on the error is at most `least`.
@@ -150,7 +150,7 @@ class Serial(NamedTuple):
         return self.evaluate(q)
 
     def undo(self, look):
-        """Evaluate at desk.q again, because `try_out` changed the matrices `kept` for the Jacobian; the caller restores q."""
+        """Evaluate again at desk.q, which the caller has restored: `try_out` has changed `kept`, which the Jacobian needs."""
         if int(self.task[WHAT.kind]) > KIND.position:
             self.try_out(self.desk.q)
 
@@ -165,7 +165,7 @@ class Serial(NamedTuple):
         to_base(self.ends, self.task, y, out)
 
     def moving(self, V, out):
-        local_motion(self.ends, self.task, self.kept, V, out)
+        local_motion(transposed(rotation_at(self.ends.flat, 0)), self.ends.scale(), self.task, self.kept, V, out)
 
     def mirrors(self, out):
         turn_axis(self.task, self.kept, out[0])
@@ -230,34 +230,28 @@ class Serial(NamedTuple):
 
 @spliced
 def serial_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip, with its scratch arrays cut from `block`."""
+    """Return the problem of one tip, with its scratch arrays cut from the memory `block`.
+
+    rows: (L, 10) geometry; ends: numbers of `records.Ends`; tasks: array that begins with a `Task`; n: number of coordinates;
+    orders: an `Orders`.
+    """
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, IN.size, 12, size, angles))
-    # `trig` is padded, and the sines of its padding are computed, too, so the padding must hold valid numbers.
+    # The sines of the padding of `trig` are computed, too, so the padding must hold valid numbers.
     clear(trig)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Serial(
-        make_desk(block, n, 6),
-        rows,
-        box,
-        tasks[: SIZE.task],
-        goal,
-        kept,
-        pose,
-        joints,
-        trig,
-        tp,
-        tr,
-        boxed,
-        own_coordinates(rows, n),
-    )
+    desk, task, own = make_desk(block, n, 6), tasks[: SIZE.task], own_coordinates(rows, n)
+    return Serial(desk, rows, box, task, goal, kept, pose, joints, trig, tp, tr, boxed, own)
 
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """Make the problem of one tip, with scratch arrays of its own, for code that works on arrays."""
+    """Return the problem of one tip, with scratch arrays of its own, for code that works on arrays instead of views.
+
+    The arguments are those of `serial_on`.
+    """
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

@@ -31,7 +31,8 @@ from .serial import serial_on
 from .starts import BEST, make_table, rnd, seed_sequence
 
 LEFT = -1  # status: the target is left to the ordinary search (search.py)
-# An attempt is given up when 1 + cos(angle left) is below this, because the axis of the remaining rotation is then inaccurate.
+# An attempt is given up when 1 + cos of the angle of rotation that is left is below this, because the axis of this rotation is then
+# inaccurate.
 HALF_TURN = 5e-4
 # Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
 ATTEMPTS = 32
@@ -40,14 +41,14 @@ ALL = (1 << WIDTH) - 1  # a mask as a whole number (see `simd.bits`) in which ev
 
 @compiled
 class Lanes(NamedTuple):
-    """Eight attempts at eight targets, one in each lane; the axis of length 8 in each array is the lane."""
+    """Eight attempts at eight targets; the axis of length 8 in each array is the lane, the place of one target in a SIMD vector."""
 
     Q: Array  # (n, 8) coordinates
     joints: Array  # (6 n, 8) axis and point of each joint, overwritten by the Jacobian
     trig: Array  # (3 n, 8) angles, sines and cosines of the joints
     goals: Array  # (12, 8) targets as `kinematics.aim` writes them
-    ceiling: Array  # (1, 8) squared error above which the attempt is given up in this iteration
-    decay: Array  # (1, 8) factor of the give-up bound `ceiling` per iteration
+    ceiling: Array  # (1, 8) squared error above which an attempt is given up in this iteration
+    decay: Array  # (1, 8) factor of `ceiling` in each iteration
     age: Array  # (1, 8) evaluations in this attempt
     spent: Array  # (1, 8) evaluations in all attempts at this target
     pp: Array  # (1, 8) squared position error of the last evaluation
@@ -69,7 +70,7 @@ class Call(NamedTuple):
 
 @spliced
 def make_lanes(block, n):
-    """Make Lanes without targets, with scratch arrays from the memory `block`."""
+    """Return Lanes without targets for a chain of n joints, with scratch arrays cut from the memory `block`."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
@@ -91,7 +92,8 @@ def make_lanes(block, n):
 def lane_errors(rows, tip, s, turning):
     """Return the tip, its linear and angular error, and 1 + cos of the angle that remains; below HALF_TURN `angular` is not valid.
 
-    turning: factor of the rotation error: 0 if only the position counts, else 1.
+    rows: (L, 10) geometry; tip (V3): position of the tip in the last joint's frame; s: `Lanes`; turning: factor of the rotation
+    error, 0 if only the position counts, else 1.
     """
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
@@ -102,7 +104,11 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits, holding joints that the gradient pushes past them; s.joints becomes the Jacobian."""
+    """Take the damped step inside the limits in all lanes, holding joints that the gradient pushes past a limit.
+
+    s.joints is replaced by the Jacobian. rows: (L, 10) geometry; s: `Lanes`; ends: `Ends`; turning, point, linear, angular: as in
+    `lane_errors`; damping: one number a lane.
+    """
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)
@@ -131,7 +137,10 @@ def limited_step(rows, s, ends, turning, point, linear, angular, damping):
 
 @spliced
 def take_target(p, o, ends, table, s, lane, t, call):
-    """Put target number t into a lane; return False if it must be left to the ordinary search."""
+    """Put target number t into a lane; return False if it must be left to the ordinary search.
+
+    p: the problem of one tip; o: `Orders`; ends: `Ends`; table: `StartTable`; s: `Lanes`; call: `Call`.
+    """
     call.out[t, 0] = LEFT
     excess = p.aim(call.T[t], o)
     given = o.given > 0.0
@@ -152,7 +161,8 @@ def take_target(p, o, ends, table, s, lane, t, call):
 def begin_attempt(o, ends, seeds, s, lane, Q0, last):
     """Set the start and the give-up bound of the next attempt at the target of a lane.
 
-    last: number of the last attempt (see search.py).
+    o: `Orders`; ends: `Ends`; seeds, Q0: starts of the table and of the caller; s: `Lanes`; last: number of the attempt that is
+    never given up early, see `search.last_attempt`.
     """
     n = s.Q.shape[0]
     k = s.tries[lane] - int(o.given)
@@ -175,9 +185,10 @@ def begin_attempt(o, ends, seeds, s, lane, Q0, last):
 
 @spliced
 def write_answer(p, o, ends, s, lane, wanted, call):
-    """Write the answer of a lane, shifted by 2 pi k to be nearest the start; wanted (n,) is scratch.
+    """Write the answer of a lane to its row of call.out, each joint shifted by 2 pi k to be nearest the start.
 
     If rounding in the shift brings the answer out of tolerance, nothing is written, and the target is left to the ordinary search.
+    wanted (n,) is scratch; the other arguments are those of `take_target`.
     """
     Q0, out = call.Q0, call.out
     t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
@@ -208,9 +219,9 @@ def write_answer(p, o, ends, s, lane, wanted, call):
 
 @inline
 def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Solve until every target is done or left to the ordinary search: the work of `lanes`, with arguments as views.
+    """Solve until every target is done or left to the ordinary search: what `lanes` compiles, with its arguments given as views.
 
-    block: scratch memory.
+    chain: the array `ends` of a `Chain`; block: scratch memory.
     """
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
@@ -275,8 +286,8 @@ def lanes() -> Callable:
     and the joint weights be equal; the option `closest` and a budget of evaluations must not be set.
 
     Returns:
-        A function of the arrays of a `Chain`, and of T, Q0, out and orders as `search.entry` describes them for the rule LM.
-        Rows of out with the status LEFT are those of targets that are left to the search.
+        A function of four arrays of a `Chain`, and of T, Q0, out and orders as `search.entry` describes them for the rule LM. A row
+        of out that gets the status LEFT belongs to a target that is left to the search.
     """
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):

@@ -13,11 +13,11 @@ from .counted_error import KIND, counts
 from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
-SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
+SEEDS = 256  # number of configurations in the table of starts; to scan more costs more time than it saves in iterations
 BEST = 8  # number of attempts that start from precomputed configurations before random ones
 # numbers that describe a configuration's tip pose, by which it is compared with a target, see `chain.table`
 FEATURES = 13
-PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
+PAD = 16  # unused columns of the features, without which the rows would share one set of lines in the processor's cache
 
 
 class DistanceWeights(NamedTuple):
@@ -26,8 +26,8 @@ class DistanceWeights(NamedTuple):
     The squared position error (over the reach) has weight 1. The values were chosen by hand, not derived.
     """
 
-    rotation: float = 0.05  # of |dR|^2 (Frobenius norm)
-    # of |q - home|^2, for one tip, so that of configurations almost equally far away the one nearest home is taken
+    rotation: float = 0.05  # weight of the squared difference of the rotation matrices (Frobenius norm)
+    # weight of |q - home|^2, for one tip, so that of configurations almost equally far away the one nearest home is taken
     from_home: float = 0.01
 
 
@@ -37,9 +37,9 @@ DISTANCE = DistanceWeights()
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
     """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
 
-    Half of the configurations are moved halfway towards home, because people expect answers near home. Blocks of BEST rows
-    alternate, so half of each interleaved group is moved. The seed is uncommon, so that no target that a user draws with
-    default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards `home` (n,), because people expect answers near home. Blocks of BEST rows
+    are moved and not moved in turn, so half of each group of `nearest_seeds` is. The seed is uncommon, so that no target that a
+    user draws with default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
@@ -52,11 +52,12 @@ class StartTable(NamedTuple):
     """Precomputed configurations that attempts start from, and scratch arrays to rank them for a target."""
 
     seeds: Array  # (N, n) the precomputed configurations
-    # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
-    features: Array  # (FEATURES * tips, N + PAD) features of the seeds, see `chain.table`
+    # (FEATURES * tips, N + PAD) what the configurations are compared by, see `chain.table`. Rows that are BEST apart form a group,
+    # and the nearest of each group is a start.
+    features: Array
     score: Array  # (N,) squared distance of each configuration from the target
-    val: Array  # (BEST,) smallest entry of `score` in each group, in the order of `best`
-    best: Array  # (BEST,) nearest first: indices of the starts (one tip) or of the groups (several tips)
+    val: Array  # (BEST,) least `score` of each group, in the order of `best`
+    best: Array  # (BEST,) the rows to start from (for one tip) or the groups to start from (for several tips), nearest first
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts
@@ -64,7 +65,7 @@ class StartTable(NamedTuple):
 
 @inline
 def make_table(block, seeds, features, tips):
-    """Make a StartTable with its scratch arrays from the memory `block`."""
+    """Return a StartTable for a number of tips, with its scratch arrays cut from the memory `block`."""
     score, val = cut(block, np.float32, (seeds.shape[0], BEST))
     best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
     (total,) = cut(block, np.float64, (BEST,))
@@ -74,7 +75,7 @@ def make_table(block, seeds, features, tips):
 
 @inline
 def product_64(a, b):
-    """Return the product of two uint64 modulo 2^64, computed by halves because numpy would warn of an overflow."""
+    """Return the product of two uint64 modulo 2^64, computed in halves, because numpy warns where a product overflows."""
     half, low_bits = np.uint64(32), np.uint64(0xFFFFFFFF)
     low = (a & low_bits) * (b & low_bits)
     cross = (((a & low_bits) * (b >> half)) & low_bits) + (((a >> half) * (b & low_bits)) & low_bits)
@@ -83,15 +84,19 @@ def product_64(a, b):
 
 @inline
 def seed_sequence(state, seed):
-    """Start the random sequence in state (1,) from a seed; it depends on nothing else, such as other targets or the thread."""
+    """Start a random sequence, whose state is an array (1,), from a seed.
+
+    The sequence depends on nothing else, such as other targets or the thread.
+    """
     state[0] = np.uint64(88172645463325252) ^ product_64(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
 @inner
 def nearest_seeds(feat, goal, wp, wr, score, val, best):
-    """Fill best (BEST,) with the nearest configuration of each of BEST interleaved groups of the table, nearest first.
+    """Fill best (BEST,) with the row nearest a target in each of BEST groups of the table of starts, nearest first.
 
-    wp and wr are 0 if the target leaves position or rotation free, else 1. score (N,) and val (BEST,) are scratch.
+    Group b has the rows b, b + BEST, b + 2 BEST and so on. feat: (FEATURES, N + PAD) features of the rows, see `chain.table`; goal:
+    (GOAL,) target; wp and wr are 0 if the target leaves position or rotation free, else 1. score (N,) and val (BEST,) are scratch.
     """
     f = np.float32
     p0, p1, p2 = f(wp * goal[9]), f(wp * goal[10]), f(wp * goal[11])
@@ -101,20 +106,11 @@ def nearest_seeds(feat, goal, wp, wr, score, val, best):
     square = f(wp)
     for j in range(score.shape[0]):
         score[j] = (
-            square * feat[12, j]
-            + p0 * feat[0, j]
-            + p1 * feat[1, j]
-            + p2 * feat[2, j]
-            + r0 * feat[3, j]
-            + r1 * feat[4, j]
-            + r2 * feat[5, j]
-            + r3 * feat[6, j]
-            + r4 * feat[7, j]
-            + r5 * feat[8, j]
-            + r6 * feat[9, j]
-            + r7 * feat[10, j]
-            + r8 * feat[11, j]
-        )
+            square * feat[12, j] + p0 * feat[0, j] + p1 * feat[1, j] + p2 * feat[2, j]
+            + r0 * feat[3, j] + r1 * feat[4, j] + r2 * feat[5, j]
+            + r3 * feat[6, j] + r4 * feat[7, j] + r5 * feat[8, j]
+            + r6 * feat[9, j] + r7 * feat[10, j] + r8 * feat[11, j]
+        )  # fmt: skip
     for b in range(BEST):
         val[b] = f(1e30)
         best[b] = 0
@@ -151,7 +147,8 @@ def rnd(state):
 def rank_groups(p, table):
     """Find the best configuration for each tip in each group of the table, and sort the groups by their total distance.
 
-    A target relative to another tip is placed as if the other tip were at its own target, or else at its start.
+    A target relative to another tip is placed as if the other tip were at its own target, or else at its start. p: the TreeProblem;
+    table: `StartTable`, whose arrays `best` and `choice` receive the result.
     """
     F = p.tasks.shape[0]
     for f in range(F):
@@ -186,7 +183,10 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to precomputed start k: each joint takes the value chosen by its tip; without a target it takes q0 or home."""
+    """Set q (n,) to precomputed start k: each joint has its value in the row that was chosen for its tip.
+
+    Joints of a tip without a target start at q0 or home. p: the TreeProblem; table: `StartTable`, sorted by `rank_groups`.
+    """
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == KIND.free:
@@ -197,11 +197,10 @@ def begin_each_tip(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Set q to random start k.
+    """Set q (n,) to random start k.
 
-    If any tip has reached its target, shared joints and the joints of such tips mostly keep their values.
-
-    Drawing all joints at once seldom gives a good start for all tips.
+    If any tip has reached its target, shared joints and the joints of such tips mostly keep their values, because to draw all
+    joints at once seldom gives a good start for all tips. p: the TreeProblem; table: `StartTable`.
     """
     some = False
     for f in range(p.tasks.shape[0]):
@@ -221,9 +220,11 @@ def draw_some(p, table, k, q):
 def choose_moves(ends, tasks, n, asked, moves, choosers):
     """Fill the arrays `moves` and `choosers` of a TreeProblem; joints that only move tips without a target are left out.
 
-    asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
+    ends: a row for each tip; tasks: (F, SIZE.task); n: number of coordinates; asked (F,) is scratch: 1 if a tip takes part, because
+    it has a target or another tip's target is relative to it.
     """
-    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's row flag the coordinates that move it.
+    # The last n numbers in a tip's row of `ends` flag the coordinates that move it.
+    F, own = ends.shape[0], ends.shape[1] - n
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):

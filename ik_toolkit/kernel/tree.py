@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.array_view import cut, fold, space
-from ..compile.jit import build, compiled, inner, spliced
-from .algebra import V3, at3, product, put3, put_axes, rotation_at
+from ..compile.array_view import cut, fold
+from ..compile.jit import compiled, inner, spliced
+from .algebra import V3, at3, product, put3, put_axes, rotation_at, transposed
 from .checks import RIGID, rigid
 from .counted_error import IN, KIND, TipState, add_curvature, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
@@ -19,7 +19,6 @@ from .linalg import damped_stack, pseudo_inverse_step
 from .problem import (
     GOAL,
     Desk,
-    counted_goal,
     errors_at,
     fill,
     from_target,
@@ -29,7 +28,7 @@ from .problem import (
     tip_at,
     to_base,
     tolerances,
-)  # fmt: skip
+)
 from .records import SIZE, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, add_goal_curvature, carry, fill_goal, link_to
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
@@ -42,7 +41,7 @@ ARRIVED = 1e-4
 
 @compiled
 class Looks(NamedTuple):
-    """The errors of all tips in two numbers; the single errors are in the arrays of the TreeProblem."""
+    """The errors of all tips, summed up in two numbers; the single errors are in the arrays of the TreeProblem."""
 
     ee: float  # squared norm of all errors
     good: bool  # whether all errors are inside the tolerances
@@ -50,7 +49,10 @@ class Looks(NamedTuple):
 
 @compiled
 class TreeProblem(NamedTuple):
-    """The search problem of F tips over n shared coordinates. Arrays not explained here are those of `Serial`, one for each tip."""
+    """The search problem of F tips over n shared coordinates.
+
+    Arrays that are not explained here are those of `Serial`, one for each tip.
+    """
 
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
@@ -60,26 +62,27 @@ class TreeProblem(NamedTuple):
     moves: Array  # (F, n) 1 if the coordinate changes a counted error of the tip, else 0
     choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
-    links: Array  # (F, LINK) targets relative to another tip, see `relative.TURN`
+    links: Array  # (F, LINK) targets that are relative to another tip, see `relative.link_to`
     kept: Array  # (F, IN.size) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
-    # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
+    # (F, GOAL) pose of each tip that the method `stand` has computed last: axes of the last joint by rows, then the tip's position
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
-    tips: Array  # (F, 2) by how much a tip's target is out of reach, and the tip's squared error at the last evaluation
+    # (F, 2) length by which a tip's target is out of reach [over the reach], and the tip's squared error at the last evaluation
+    tips: Array
     orders: Orders
     boxed: bool  # whether joint limits are kept
 
     def ends_of(self, f):
-        """Return base, tip and joint limits of tip f."""
+        """Return base, tip and joint limits of tip f, as `Ends`."""
         return Ends(self.ends[f], self.desk.q.shape[0])
 
     def rows_of(self, f):
-        """Return the geometry of tip f's chain."""
+        """Return the geometry (L, 10) of the chain of tip f."""
         return self.rows[self.cut[f] : self.cut[f + 1]]
 
     def joints_of(self, f):
-        """Return axis and point of each joint of tip f's chain, and of later chains."""
+        """Return axis and point of each joint of the chain of tip f; those of later chains follow in the same array."""
         return self.joints[6 * self.cut[f] :]
 
     def tolerances_of(self, f):
@@ -87,7 +90,7 @@ class TreeProblem(NamedTuple):
         return tolerances(self.orders, self.kind_of(f), self.ends_of(f).scale())
 
     def kind_of(self, f):
-        """Return which part of tip f's error counts."""
+        """Return which part of the error of tip f counts, a number of `TargetKinds`."""
         return int(self.tasks[f, WHAT.kind])
 
     def other_of(self, f):
@@ -98,7 +101,7 @@ class TreeProblem(NamedTuple):
         return aim_tips(self, T, orders)
 
     def place(self, f, q):
-        """Compute the pose of tip f at q, and store it in poses[f]."""
+        """Compute the pose of tip f at q (n,), and store it in poses[f]."""
         rows = self.rows_of(f)
         trig = self.trig[: room(rows.shape[0])[1]]
         axes, tip = tip_at(rows, self.ends_of(f), q, self.joints_of(f), trig)
@@ -141,8 +144,7 @@ class TreeProblem(NamedTuple):
                 fill_goal(self.rows_of(other), task, kept, self.joints_of(other), pose, link, J, 6 * f)
 
     def damped(self, look, damping):
-        s = self.desk
-        damped_stack(s.J, self.moves, s.w, s.dq, s.e, damping, s.A, s.y)
+        self.toward(self.desk.e, damping)
 
     def toward(self, y, damping):
         s = self.desk
@@ -179,7 +181,7 @@ class TreeProblem(NamedTuple):
         return min(max(value, ends.lower(i)), ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of coordinate i alone that minimises the linearised error of all tips."""
+        """Return the move of coordinate i alone that minimises the linearised error; 0 if its squared effect is at most `least`."""
         self.jacobian(look)
         self.stack(look)
         J, m = self.desk.J, self.desk.J.shape[1]
@@ -214,17 +216,12 @@ class TreeProblem(NamedTuple):
 
     def moving(self, V, out):
         for f in range(self.tasks.shape[0]):
-            ends = self.ends_of(f)
-            other = self.other_of(f)
+            ends, other = self.ends_of(f), self.other_of(f)
+            axes = transposed(rotation_at(ends.flat, 0))
             if other >= 0:  # A target relative to another tip has its motion given in that tip's axes.
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
-                u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
-                u, v = counted_goal(self.kind_of(f), self.kept[f], u, v)
-                put3(out, 6 * f, u)
-                put3(out, 6 * f + 3, v)
-            else:
-                local_motion(ends, self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
+            local_motion(axes, ends.scale(), self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
 
     def mirrors(self, out):
         for f in range(self.tasks.shape[0]):
@@ -292,13 +289,13 @@ class TreeProblem(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # A tip without a target has its start as goal, but its distance from there does not count as an error.
+            # The goal of a tip without a target is its start, but its distance from there does not count as an error.
             free = self.kind_of(f) == KIND.free
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 
     def left_at(self, place, f):
-        """Return the position error [m] and rotation error [rad] of tip f stored at index `place`."""
+        """Return the position error [m] and rotation error [rad] of tip f stored at index `place` of `Desk.errors`."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, f, 0]) * self.ends_of(f).scale()
         return position, angle_left(self.kind_of(f), errors[place, f, 1])
@@ -313,7 +310,10 @@ class TreeProblem(NamedTuple):
 # ----------------------------------------- These run once per target, so they are compiled once and called, not inlined.
 @inner
 def aim_tips(p, T, orders):
-    """Take a target for each tip; return the largest length by which a target is out of reach, or -1 if one is not a pose."""
+    """Take targets T (F, 4, 4) of all tips of a TreeProblem p.
+
+    Returns the largest length [over the reach] by which a target is out of reach, or -1 if one is not a pose. orders: `Orders`.
+    """
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = p.other_of(f)
@@ -333,7 +333,7 @@ def aim_tips(p, T, orders):
 
 @inner
 def left_of_all(p, place):
-    """Return the largest position error [m] and rotation error [rad] of all tips stored at index `place`."""
+    """Return the largest position error [m] and rotation error [rad] of all tips of p stored at index `place` of `Desk.errors`."""
     position, rotation = 0.0, 0.0
     for f in range(p.tasks.shape[0]):
         linear, angle = p.left_at(place, f)
@@ -343,7 +343,10 @@ def left_of_all(p, place):
 
 @inner
 def report_tips(p, place, row):
-    """Write the errors of each tip, stored at index `place`, to the end of a row of results, as a `Miss` each."""
+    """Write the errors of each tip of p to the end of a row of results, as a `Miss` each.
+
+    They are those stored at index `place` of `Desk.errors`.
+    """
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * p.ends_of(f).scale()
@@ -352,9 +355,10 @@ def report_tips(p, place, row):
 
 @spliced
 def tree_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of several tips, with its scratch arrays cut from `block`.
+    """Return the problem of several tips, with its scratch arrays cut from the memory `block`.
 
     A row of `ends` is `records.Ends` of a tip, then its number of rows, then n flags: 1 if the coordinate moves the tip, else 0.
+    rows: (L, 10) geometry of all chains; tasks: the numbers of a `Task` for each tip, one after the other; orders: `Orders`.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
@@ -367,18 +371,11 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    clear(trig)  # sines of the padding of `trig` are computed, too, so the padding must hold valid numbers
+    # The sines of the padding of `trig` are computed, too, so the padding must hold valid numbers.
+    clear(trig)
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
+    desk = make_desk(block, n, 6 * F)
     return TreeProblem(
-        make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
-        orders, boxed,
-    )  # fmt: skip
-
-
-@build
-def make_tree(rows, ends, tasks, n, orders):
-    """Make the problem of several tips, with scratch arrays of its own, for code that works on arrays."""
-    block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
-    block[0] = 0.0
-    return tree_on(block, rows, ends, tasks, n, orders)
+        desk, rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips, orders, boxed
+    )

@@ -5,7 +5,7 @@ from ..compile.jit import inline
 
 @inline
 def dot(x, y, n):
-    """Return the scalar product of two vectors, over their first n numbers."""
+    """Return the scalar product of the first n numbers of two vectors."""
     s = 0.0
     for i in range(n):
         s += x[i] * y[i]
@@ -14,7 +14,7 @@ def dot(x, y, n):
 
 @inline
 def dot_of_columns(A, r, B, c, n):
-    """Return the scalar product of column r of A and column c of B, over their first n numbers."""
+    """Return the scalar product of column r of A and column c of B, over their first n rows."""
     s = 0.0
     for i in range(n):
         s += A[i, r] * B[i, c]
@@ -23,7 +23,7 @@ def dot_of_columns(A, r, B, c, n):
 
 @inline
 def dot_with_column(x, A, c, n):
-    """Return the scalar product of x and column c of A, over their first n numbers."""
+    """Return the scalar product of the vector x and column c of A, over their first n numbers."""
     s = 0.0
     for i in range(n):
         s += x[i] * A[i, c]
@@ -32,14 +32,14 @@ def dot_with_column(x, A, c, n):
 
 @inline
 def add_multiple(x, factor, y, n):
-    """Add `factor` times y to x in place, over their first n numbers."""
+    """Add `factor` times the vector y to the vector x in place, over their first n numbers."""
     for i in range(n):
         x[i] += factor * y[i]
 
 
 @inline
 def apply_transposed(A, x, out):
-    """Write A' x to out (m,), for A (n, m) and x (n,)."""
+    """Write A' x to out (m,), for a matrix A (n, m) and a vector x (n,)."""
     for k in range(A.shape[1]):
         s = 0.0
         for i in range(A.shape[0]):
@@ -49,14 +49,14 @@ def apply_transposed(A, x, out):
 
 @inline
 def clear(x):
-    """Set all numbers of x to 0."""
+    """Set all numbers of the vector x to 0."""
     for i in range(x.shape[0]):
         x[i] = 0.0
 
 
 @inline
 def any_of(x):
-    """Return whether a number of x is not 0."""
+    """Return whether any number of the vector x is not 0."""
     for i in range(x.shape[0]):
         if x[i] != 0.0:
             return True
@@ -65,7 +65,7 @@ def any_of(x):
 
 @inline
 def largest(x):
-    """Return the largest size of a number of x."""
+    """Return the largest absolute value in the vector x."""
     most = 0.0
     for i in range(x.shape[0]):
         most = max(most, abs(x[i]))

@@ -35,33 +35,34 @@ from .terms import SIZES, STATE, TRUST, VERDICT
 # ---------------------------------------------------------------------------------------------------------------------- roots
 @compiled
 class Roots(NamedTuple):
-    """The polynomial, its roots and their error discs."""
+    """The determinant of one target as a polynomial of degree 2 d, its roots and their error discs."""
 
-    values: Array  # (K,) values of the determinant
+    values: Array  # (K,) values of the determinant at K angles
     c: Array  # (2 d + 1,) complex coefficients of z^0 ... z^2d, the largest 1 in size
     z: Array  # (2 d,) complex roots
-    radius: Array  # (2 d,) radii of the error discs around the computed roots
-    state: Array  # (2 d,) complex, real or undecided, see `terms.RootState`
+    radius: Array  # (2 d,) radii of the error discs, one around each computed root
+    state: Array  # (2 d,) what is known of each root, a number of `terms.RootState`
 
 
 @inline
 def size(z):
-    """Return |z|^2."""
+    """Return |z|^2 of a complex number z."""
     return z.real * z.real + z.imag * z.imag
 
 
 @inline
 def over(z):
-    """Return 1 / z, without the guard against overflow that makes numba's own division slow."""
+    """Return 1 / z of a complex number z, without the guard against overflow that makes numba's own division slow."""
     share = 1.0 / size(z)
     return complex(z.real * share, -z.imag * share)
 
 
 @inner
 def fit_polynomial(values, degree, tables, c):
-    """Write the coefficients c (2 degree + 1,) of the polynomial with these values (K,), scaled so that the largest is 1 in size.
+    """Write the coefficients c (2 degree + 1,) of the polynomial with the given values at K angles, scaled to at most 1 in size.
 
-    tables: rows 0, 1 are cos, sin of 2 pi k / K. Returns the noise of a coefficient relative to the largest, or inf if all are 0.
+    values: (K,); tables: rows 0, 1 are cos, sin of the angles 2 pi k / K. Returns the noise of a coefficient relative to the
+    largest, or inf if all are 0.
     """
     count = 2 * degree + 5
     noise, largest = 0.0, 0.0
@@ -82,15 +83,16 @@ def fit_polynomial(values, degree, tables, c):
     share = 1.0 / largest
     for k in range(2 * degree + 1):
         c[k] = c[k] * share
-    # Harmonics above the degree should be 0, so twice the larger of them, plus the rounding of the division, measures the noise.
+    # Harmonics above the degree should be 0, so twice the larger of the two that are computed, plus the rounding of the division,
+    # measures the noise.
     return 2.0 * noise * share + 2e-16
 
 
 @inner
 def slope(c, n, z):
-    """Return P'(z) / P(z) of P = sum c_k z^k (k = 0 ... n), and whether P(z) is not 0.
+    """Return P'(z) / P(z) of a polynomial P = sum c_k z^k (k = 0 ... n), and whether P(z) is not 0.
 
-    Outside the unit circle the polynomial is evaluated in powers of 1 / z.
+    If z is outside the unit circle, the polynomial is evaluated in powers of 1 / z. c: (n + 1,) complex coefficients.
     """
     inside = size(z) <= 1.0
     x = z if inside else over(z)
@@ -106,7 +108,10 @@ def slope(c, n, z):
 
 @inner
 def find_roots(r, n):
-    """Write the n roots of the polynomial r.c to r.z, by Ehrlich and Aberth's method: Newton steps that repel the other roots."""
+    """Write the n roots of the polynomial r.c to r.z (r: `Roots`), by Ehrlich and Aberth's method.
+
+    This is Newton's method for all roots at once, with a term in each step that repels the other roots.
+    """
     for i in range(n):
         angle, length = 2.0 * math.pi * (i + 0.37) / n, 1.25 if i % 2 == 0 else 0.8
         r.z[i] = complex(length * math.cos(angle), length * math.sin(angle))
@@ -139,7 +144,10 @@ def find_roots(r, n):
 
 @inner
 def find_discs(r, n, noise):
-    """Write the radii of error discs around the roots r.z; a disc that overlaps no other holds exactly one true root."""
+    """Write the radii of error discs around the n roots r.z to r.radius; a disc that overlaps no other holds exactly one true root.
+
+    r: `Roots`; noise: error of a coefficient, from `fit_polynomial`.
+    """
     last = math.sqrt(size(r.c[n]))
     for i in range(n):
         z, value, weight = r.z[i], r.c[n], 1.0
@@ -157,7 +165,10 @@ def find_discs(r, n, noise):
 # -------------------------------------------------------------------------------------------------------------------- account
 @inner
 def set_up(d):
-    """Write the equations for the ordering d.form of the loop and the determinant's values; return the loop's pose and the rank."""
+    """Write the equations of a target for the ordering d.form of the loop, and the values of their determinant.
+
+    Returns the pose of the reordered loop, and the rank of the equations (see `equations.reduce`). d: the arrays of `answer.Work`.
+    """
     pose = reorder(d.loop.axes, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
     write_left(d.e.lines, d.e.robot)
     write_right(d.e.lines, pose, d.e.target)
@@ -169,7 +180,10 @@ def set_up(d):
 
 @inner
 def near(d, i, n):
-    """Return the last root whose error disc overlaps that of root i (or -1), and the number of such roots."""
+    """Return the last of n roots whose error disc overlaps that of root i (or -1), and the number of such roots.
+
+    d: the arrays of `answer.Work`.
+    """
     r, other, count = d.r, -1, 0
     for j in range(n):
         if j != i and math.sqrt(size(r.z[i] - r.z[j])) <= TRUST.apart * (r.radius[i] + r.radius[j]):
@@ -179,21 +193,24 @@ def near(d, i, n):
 
 @inner
 def off_circle(z):
-    """Return the distance of a root from the unit circle; for a root outside it, that of its partner 1 / conj(z)."""
+    """Return the distance of a root z from the unit circle; for a root outside it, that of its partner 1 / conj(z)."""
     length = math.sqrt(size(z))
     return 1.0 - (length if length <= 1.0 else 1.0 / length)
 
 
 @inner
 def is_complex(z, radius):
-    """Return whether a root's error disc clearly misses the unit circle."""
+    """Return whether the error disc of a root z, with a given radius, clearly misses the unit circle."""
     gap = off_circle(z)
     return gap > (TRUST.clear if gap > TRUST.band else TRUST.clearer) * radius / max(1.0, size(z))
 
 
 @inner
 def to_joints(d):
-    """Write the angles null.t of the reordered loop to the joints d.loop.q; their signs change if the loop is reversed."""
+    """Write the angles d.null.t of the reordered loop to the joints d.loop.q; their signs change if the loop is reversed.
+
+    d: the arrays of `answer.Work`.
+    """
     backwards, shift = d.form[0] > 0.0, int(d.form[1])
     for place in range(6):
         t = d.null.t[place]
@@ -202,10 +219,13 @@ def to_joints(d):
 
 @inner
 def settle_root(d, root, radius):
-    """Refine the angles null.t of the reordered loop to a solution d.loop.q; return whether its q3 agrees with the root."""
+    """Refine the angles d.null.t of the reordered loop to a solution d.loop.q; return whether its q3 agrees with the root.
+
+    root: angle of the root [rad]; radius: radius of its error disc; d: the arrays of `answer.Work`.
+    """
     backwards, shift, q = d.form[0] > 0.0, int(d.form[1]), d.loop.q
     to_joints(d)
-    if not close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+    if not close(d.loop) < TRUST.closed:
         return False
     kept = q[joint_at(2, backwards, shift)]
     off = abs(wrapped(kept + root if backwards else kept - root))
@@ -216,9 +236,9 @@ def settle_root(d, root, radius):
 
 @inner
 def tolerance(gain):
-    """Return how far two copies of one solution may differ [rad].
+    """Return how far two copies of one solution may differ in a joint [rad].
 
-    A rounding error of 1e-11 in the pose moves the joints by 1e-11 divided by the gain (about the smallest singular value of the
+    A rounding error of 1e-11 in the pose moves the joints by 1e-11 divided by the gain (about the least singular value of the
     Jacobian), which is a large move at singular poses.
     """
     return TRUST.same if gain > 1e-4 else max(TRUST.same, min(1e-3, 1e-11 / max(gain, 1e-300)))
@@ -226,7 +246,11 @@ def tolerance(gain):
 
 @inner
 def put_solution(found, q, gain, root):
-    """Add a solution q (6,) to the array `found`; return the row of an equal solution that is there already, or 0 if it is new."""
+    """Add a solution q (6,) to a list `found`; return the row of an equal solution that is there already, or 0 if it is new.
+
+    found: (SIZES.rows, SIZES.columns), see `answer.solve_loops`; gain: `closure.least_gain` at the solution; root: angle of the
+    root that it belongs to [rad].
+    """
     count = int(found[0, 0])
     for k in range(1, count + 1):
         near, i = max(tolerance(gain), tolerance(found[k, 6])), 0
@@ -244,9 +268,10 @@ def put_solution(found, q, gain, root):
 
 @inner
 def take_pair(d, pose, rank, i, j):
-    """Treat two roots whose error discs overlap only each other: symmetric arms have two solutions with the same value of q3.
+    """Decide about two roots whose error discs overlap only each other: symmetric arms have two solutions with the same q3.
 
-    Both roots are marked real and their solutions added if there are two, or marked complex if there are none.
+    Both roots are marked real and their solutions added if there are two, or marked complex if there are none. d: the arrays of
+    `answer.Work`; pose, rank: from `set_up`; i, j: indices of the roots.
     """
     r, null, found = d.r, d.null, d.found
     middle = 0.5 * (r.z[i] + r.z[j])
@@ -275,10 +300,13 @@ def take_pair(d, pose, rank, i, j):
 
 @inner
 def take_root(d, pose, rank, i, lone):
-    """Find the solution of a root on or near the unit circle; return the best status that it leaves possible for the answer."""
+    """Find the solution of root i, on or near the unit circle; return the best verdict that it leaves possible for the answer.
+
+    d: the arrays of `answer.Work`; pose, rank: from `set_up`; lone: whether the root's error disc overlaps no other.
+    """
     z, radius = d.r.z[i], d.r.radius[i]
     gap = off_circle(z)
-    # A root whose error disc overlaps no other is its own partner 1 / conj(z), so the disc must reach the circle.
+    # If its error disc overlaps no other, a root is its own partner 1 / conj(z), so the disc must reach the circle.
     if not (gap <= radius + 1e-13 if lone else gap < 1e-3):
         return VERDICT.unsure
     root = math.atan2(z.imag, z.real)
@@ -296,7 +324,10 @@ def take_root(d, pose, rank, i, lone):
 
 @inner
 def account_for(d):
-    """Solve for one target with one ordering of the loop: write d.found; return the pose and the rank of `set_up`."""
+    """Solve for one target with one ordering of the loop: write the solutions to d.found, and return what `set_up` returned.
+
+    d: the arrays of `answer.Work`, with the target and the ordering.
+    """
     found, r, n = d.found, d.r, 2 * int(d.form[3])
     for k in range(SIZES.columns):
         found[0, k] = 0.0

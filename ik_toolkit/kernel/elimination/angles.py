@@ -12,30 +12,30 @@ from ...compile.jit import compiled, inline, inner
 from ..algebra import V3
 from ..linalg import lu_factor, lu_substitute, make_orthogonal, reflect_row
 from ..records import Array
+from ..vectors import clear, dot_of_columns, largest
 from .closure import Line, line_of, turned
 from .terms import SIZES, TRUST
 
 
 @compiled
 class Null(NamedTuple):
-    """Scratch for null vectors of the 12 equations."""
+    """Scratch for null vectors of the 12 equations in equations.py, and for the angles that follow from them."""
 
     M: Array  # (12, 12) the matrix of the 12 equations at one q3
-    V: Array  # (12, 12) right singular vectors, one a column
-    swaps: Array  # (12,) rows that the factorisation exchanged
+    V: Array  # (12, 12) right singular vectors of M, one a column
+    swaps: Array  # (12,) for each k, the row that was exchanged with row k when M was factored
     x: Array  # (12,) a null vector
-    pair: Array  # (2, 12) two null vectors that are vectors of monomials
-    monomials: Array  # (14,) the monomials; later the 14 numbers of a line (see equations.py)
-    t: Array  # (6,) joint angles, in the order of the loop that starts at another joint (closure.reorder)
+    pair: Array  # (2, 12) two null vectors of M; `split_pair` replaces them by vectors of monomials
+    monomials: Array  # (14,) right side for the monomials of joints 1 and 2
+    t: Array  # (6,) joint angles [rad] in the order of the reordered loop, see `closure.reorder`
 
 
 @inner
 def write_matrix(W, q, M):
-    """Write the 12 equations M (12, 12) at q3 = q."""
+    """Write the matrix M (12, 12) of the 12 equations at q3 = q [rad]; W: (3, 6, 9) coefficients, see `LoopEquations`."""
     c, s = math.cos(q), math.sin(q)
     for i in range(SIZES.monomials):
-        for j in range(SIZES.monomials):
-            M[i, j] = 0.0
+        clear(M[i])
     for k in range(6):
         for m in range(9):
             v = W[0, k, m] + c * W[1, k, m] + s * W[2, k, m]
@@ -45,7 +45,10 @@ def write_matrix(W, q, M):
 
 @inner
 def find_null(W, q, null):
-    """Write the null vector null.x of the 12 equations at a root q3 = q, by two steps of inverse iteration."""
+    """Write the null vector null.x of the 12 equations at a root q3 = q [rad], by two steps of inverse iteration.
+
+    W: (3, 6, 9) coefficients, see `LoopEquations`; null: scratch (Null).
+    """
     write_matrix(W, q, null.M)
     lu_factor(null.M, null.swaps, SIZES.monomials, TRUST.faint)
     x = null.x
@@ -53,31 +56,24 @@ def find_null(W, q, null):
         x[i] = 1.0
     for _ in range(2):
         lu_substitute(null.M, null.swaps, x, SIZES.monomials)
-        largest = 0.0
+        top = largest(x)
         for i in range(SIZES.monomials):
-            largest = max(largest, abs(x[i]))
-        for i in range(SIZES.monomials):
-            x[i] /= largest
+            x[i] /= top
 
 
 @inner
 def find_two_nulls(W, q, null):
     """Write the two singular vectors with the smallest singular values of the 12 equations at q3 = q to the rows of null.pair.
 
-    Returns the second and third smallest singular values as shares of the largest. All twelve are computed, by Hestenes' method.
+    Returns the second and third smallest singular values as shares of the largest. All twelve are computed, by Hestenes' method. W:
+    (3, 6, 9) coefficients, see `LoopEquations`; null: scratch (Null).
     """
     write_matrix(W, q, null.M)
     make_orthogonal(null.M, null.V, SIZES.monomials)
     lengths = null.x
     for k in range(SIZES.monomials):
-        total = 0.0
-        for i in range(SIZES.monomials):
-            total += null.M[i, k] * null.M[i, k]
-        lengths[k] = math.sqrt(total)
-    largest = 0.0
-    for k in range(SIZES.monomials):
-        largest = max(largest, lengths[k])
-    second, third = 0.0, 0.0
+        lengths[k] = math.sqrt(dot_of_columns(null.M, k, null.M, k, SIZES.monomials))
+    top, second, third = largest(lengths), 0.0, 0.0
     for rank in range(3):
         at = 0
         for k in range(SIZES.monomials):
@@ -88,12 +84,12 @@ def find_two_nulls(W, q, null):
         if rank < 2:
             for i in range(SIZES.monomials):
                 null.pair[rank, i] = null.V[i, at]
-    return second / largest, third / largest
+    return second / top, third / top
 
 
 @inner
 def split_pair(null):
-    """Turn null.pair (2, 12) into two vectors of the same span that are vectors of monomials.
+    """Turn the null vectors null.pair (2, 12) into two of the same span, each of which consists of the monomials of a solution.
 
     Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. In a vector y of monomials, the entries hi(y) with one
     factor x more are x times the entries lo(y): for x4 they are three places apart, for x5 one. So the two are the eigenvectors of
@@ -140,17 +136,21 @@ def split_pair(null):
 
 @inline
 def eigenvector(a, b, c, d, value):
-    """Return an eigenvector of [[a, b], [c, d]] for an eigenvalue; of two formulas the longer result, as the other may vanish."""
+    """Return an eigenvector of [[a, b], [c, d]] for the eigenvalue `value`.
+
+    There are two formulas; the longer result is taken, as the other may vanish.
+    """
     first = b * b + (value - a) * (value - a) >= (value - d) * (value - d) + c * c
     return (b, value - a) if first else (value - d, c)
 
 
 @inner
 def find_angles(e, rank, pose, q, x, null):
-    """Write the angles null.t (6,) of the reordered loop at q3 = q for the null vector x (12,).
+    """Write the angles null.t (6,) of the reordered loop at q3 = q [rad] for the null vector x (12,).
 
     Joints 4 and 5 follow from ratios of monomials, also at pi, where the tangent is infinite. Joints 1 and 2 follow from monomials
-    y that solve R y = Q' (robot - target[0]); joint 6 closes the loop.
+    y that solve R y = Q' (robot - target[0]), with the QR factors in e (LoopEquations); joint 6 closes the loop. pose, rank: from
+    `account.set_up`.
     """
     at = 0
     for k in range(SIZES.monomials):
@@ -178,7 +178,7 @@ def find_angles(e, rank, pose, q, x, null):
         row[n] -= e.target[0, n]
     for k in range(rank):
         reflect_row(e.V, e.scales, k, row, SIZES.numbers)
-    y = null.x  # x may be this same array, and is not needed any more
+    y = null.x  # `x` may be this same array, but is not needed any more.
     for k in range(8):
         y[k] = 0.0
     for k in range(rank - 1, -1, -1):
@@ -186,23 +186,26 @@ def find_angles(e, rank, pose, q, x, null):
         for j in range(k + 1, rank):
             v -= e.V[j, k] * y[e.order[j]]
         y[e.order[k]] = v / e.V[k, k]
-    # y[3 a + b - 1] belongs to 1, cos, sin (a, b = 0, 1, 2) of joints 1 and 2.
+    # The monomial y[3 a + b - 1] is a product of 1, cos or sin of joint 1 (a = 0, 1, 2) and of joint 2 (b = 0, 1, 2).
     t[0], t[1] = math.atan2(y[5], y[2]), math.atan2(y[1], y[0])
     t[5] = last_angle(e.lines, pose, t)
 
 
 @inline
 def factor_of(k, q):
-    """Return 1, cos q or sin q for k = 0, 1 or 2."""
+    """Return 1, cos q or sin q for k = 0, 1 or 2: a factor of a product of such functions of the joint angles."""
     return 1.0 if k == 0 else math.cos(q) if k == 1 else math.sin(q)
 
 
 @inner
 def last_angle(lines, pose, t):
-    """Return the angle of joint 6 that closes the loop when joints 1 to 5 are at t[0] ... t[4]."""
+    """Return the angle of joint 6 that closes the loop when joints 1 to 5 are at t[0] ... t[4] [rad].
+
+    lines: (6, 6) axes of the reordered loop; pose: its pose.
+    """
     last = line_of(lines, 5)
     away = any_normal(last.along)
-    # only the direction of this line is used below, so its point may be any
+    # Only the direction of this line is used below, so its point may be any.
     goal = Line(pose.axes.times(away), pose.axes.times(last.along))
     for k in range(5):
         goal = turned(goal, line_of(lines, k), math.cos(t[k]), -math.sin(t[k]))
@@ -211,6 +214,6 @@ def last_angle(lines, pose, t):
 
 @inline
 def any_normal(v):
-    """Return a unit vector perpendicular to a unit vector."""
+    """Return a unit vector perpendicular to a unit vector v (V3)."""
     w = v.cross(V3(1.0, 0.0, 0.0)) if abs(v.x) < 0.6 else v.cross(V3(0.0, 1.0, 0.0))
     return w * (1.0 / math.sqrt(w.square()))

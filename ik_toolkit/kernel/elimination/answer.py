@@ -9,8 +9,8 @@ import numpy as np
 
 from ...compile.array_view import cut, fold, keep, view
 from ...compile.jit import build, cached, compiled, inline, inner
-from ..algebra import M3, V3, Pose, at3, put3, put_axes, rotation_at
-from ..records import Array
+from ..algebra import M3, V3, Pose, at3, pose_from, product, put3, put_axes, rotation_at
+from ..records import Array, copy
 from .account import Roots, account_for, near, off_circle, put_solution, set_up, size, to_joints
 from .angles import Null, find_angles, find_null
 from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
@@ -21,7 +21,7 @@ from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 
 @inner
 def merge_into(one, whole):
-    """Add an ordering's solutions `one` to those in `whole`, both (SIZES.rows, SIZES.columns).
+    """Add the solutions of one ordering of the loop, in `one`, to those in `whole`, both (SIZES.rows, SIZES.columns).
 
     Returns whether `whole` then contains no solution that `one` lacks.
     """
@@ -33,7 +33,7 @@ def merge_into(one, whole):
 
 @compiled
 class Work(NamedTuple):
-    """All arrays used to solve for one target with one ordering of the loop."""
+    """All arrays that are used to solve for one target with one ordering of the loop."""
 
     target: Array  # (12,) rigid motion from the tip's pose at q = 0 to the target
     loop: JointLoop
@@ -42,15 +42,16 @@ class Work(NamedTuple):
     null: Null
     A: Array  # (6, 9) scratch for `equations.determinant`
     N: Array  # (9, 9) scratch for `equations.determinant`
-    form: Array  # (SIZES.form,) the ordering of the loop that is being solved, see `terms.Form`
+    row: Array  # (SIZES.whole,) the ordering of the loop that is being solved, whose parts are the next three arrays
+    form: Array  # (SIZES.form,) the numbers of a `terms.Form`
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
-    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6
+    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6, see `equations.reduce`
     found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
 
 
 @build
 def make_work(block, axes):
-    """Make the Work arrays from a block of memory."""
+    """Return the arrays of `Work`, cut from the memory `block`; axes: (6, 6) joint axes at q = 0."""
     block[0] = 0.0
     target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
@@ -59,31 +60,22 @@ def make_work(block, axes):
     radius, state, M, P, x = cut(block, np.float64, (2 * SIZES.degree, 2 * SIZES.degree, (12, 12), (12, 12), 12))
     pair, monomials, t, A, N = cut(block, np.float64, ((2, 12), 14, 6, (6, 9), (9, 9)))
     order, swaps = cut(block, np.int64, (8, 12))
-    form, tables, mix, found = cut(
-        block, np.float64, (SIZES.form, (2, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
-    )
+    row, found = cut(block, np.float64, (SIZES.whole, (SIZES.rows, SIZES.columns)))
+    tables = fold(row[SIZES.form :], np.float64, 2, SIZES.samples)
+    mix = fold(row[SIZES.form + SIZES.tables :], np.float64, 6, SIZES.numbers)
     return Work(
         target, JointLoop(axes, X, J, back, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
-        Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N, form, tables, mix, found,
+        Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N,
+        row, row[: SIZES.form], tables, mix, found,
     )  # fmt: skip
-
-
-@inner
-def load(d, form):
-    """Copy one ordering of the loop, a row of `forms` of `solve_loops`, to d.form, d.tables and d.mix."""
-    for k in range(SIZES.form):
-        d.form[k] = form[k]
-    for i in range(2):
-        for k in range(SIZES.samples):
-            d.tables[i, k] = form[SIZES.form + i * SIZES.samples + k]
-    for i in range(6):
-        for k in range(14):
-            d.mix[i, k] = form[SIZES.form + SIZES.tables + 14 * i + k]
 
 
 @inline
 def sharpened(R):
-    """Return an almost orthonormal matrix with its error squared: R (3 - R'R) / 2 (Newton's method for the polar factor)."""
+    """Return an almost orthonormal matrix R (M3) made more exact: R (3 - R'R) / 2, by which its error is squared.
+
+    This is a step of Newton's method for the polar factor.
+    """
     a, b, c = R.x.dot(R.y), R.x.dot(R.z), R.y.dot(R.z)
     x = R.x * (1.5 - 0.5 * R.x.square()) - (R.y * a + R.z * b) * 0.5
     y = R.y * (1.5 - 0.5 * R.y.square()) - (R.x * a + R.z * c) * 0.5
@@ -92,23 +84,23 @@ def sharpened(R):
 
 @inner
 def motion_to(T, arm, X):
-    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm (52,): as for `solve_loops`."""
-    R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+    """Write to X (12,) the motion that takes the tip from its pose at q = 0 to the target T (4, 4) [m].
+
+    X is a rotation matrix by rows, then a translation; arm: (52,) geometry, as for `solve_loops`.
+    """
+    target = pose_from(T)
     # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
-    R = sharpened(sharpened(R))
-    point = (V3(T[0, 3], T[1, 3], T[2, 3]) - at3(arm, 48)) * (1.0 / arm[51])
-    home = Pose(rotation_at(arm, 36), at3(arm, 45))
-    back = inverse(home)
-    turn = M3(R.times(back.axes.x), R.times(back.axes.y), R.times(back.axes.z))
-    put_axes(X, 0, turn)
-    put3(X, 9, point + R.times(back.point))
+    R = sharpened(sharpened(target.axes))
+    back = inverse(Pose(rotation_at(arm, 36), at3(arm, 45)))
+    put_axes(X, 0, product(R, back.axes))
+    put3(X, 9, (target.point - at3(arm, 48)) * (1.0 / arm[51]) + R.times(back.point))
 
 
 @inner
 def use_form(d):
-    """Solve for the target in d with the ordering in d.form: by elimination, or by decomposition if its degree d.form[3] is 0.
+    """Solve for the target in d (Work) with the ordering in d.form: by elimination, or by decomposition if its degree is 0.
 
-    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the reordered loop and a rank of 0.
+    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the loop and a rank of 0.
     """
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
@@ -118,8 +110,11 @@ def use_form(d):
 
 @inner
 def nudge(d, angle):
-    """Write to d.loop.X the target turned by a small angle [rad] and moved by a similar share of the arm's size."""
-    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # the axis of the displacement is an arbitrary unit vector
+    """Write to d.loop.X the target of d (Work) turned by a small angle [rad] and moved by a similar share of the arm's size.
+
+    An angle of 0 restores the target itself.
+    """
+    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # The axis of the displacement is an arbitrary unit vector.
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
     turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
     put_axes(d.loop.X, 0, turn)
@@ -130,19 +125,20 @@ def nudge(d, angle):
 def look_around(d, forms, whole):
     """Add to an uncertain answer the solutions of slightly displaced poses, brought back to the target by Newton's method.
 
-    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing.
+    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing. d: `Work`;
+    forms: orderings of the loop; whole: (SIZES.rows, SIZES.columns) the answer.
     """
-    for k in range(8):  # four poses, with each of the two best orderings
+    for k in range(8):  # Four displaced poses are tried, each with the two best orderings.
         f = k // 4
         if f < forms.shape[0]:
-            load(d, forms[f])
+            copy(forms[f], d.row)
             nudge(d, (1e-3 if k % 4 < 2 else 2e-2) * (1.0 if k % 2 == 0 else -1.0))
             use_form(d)
             nudge(d, 0.0)
             for n in range(1, int(d.found[0, 0]) + 1):
                 for i in range(6):
                     d.loop.q[i] = d.found[n, i]
-                if close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+                if close(d.loop) < TRUST.closed:
                     for i in range(6):
                         d.loop.q[i] = wrapped(d.loop.q[i])
                     put_solution(whole, d.loop.q, least_gain(d.loop), 0.0)
@@ -153,7 +149,8 @@ def all_counted(whole, real):
     """Return whether an answer has as many solutions as there are roots not proven complex, so that there can be no others.
 
     Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
-    singular, the result is False, because two entries might be one solution.
+    singular, the result is False, because two entries might be one solution. whole: (SIZES.rows, SIZES.columns) the answer; real:
+    number of roots not proven complex.
     """
     for k in range(1, int(whole[0, 0]) + 1):
         if whole[k, 6] < TRUST.singular:
@@ -166,7 +163,8 @@ def list_near(d, pose, rank, within, whole):
     """Append approximate solutions to a certified answer: one for each complex root near the unit circle or each merged branch.
 
     Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the angles
-    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1.
+    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1. d: `Work`; pose,
+    rank: from `use_form`; within: largest distance of such a root from the circle; whole: (SIZES.rows, SIZES.columns) the answer.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
     if n == 0:
@@ -184,7 +182,7 @@ def list_near(d, pose, rank, within, whole):
             whole[0, 7] = -1.0
             return
         if size(z) > 1.0:
-            continue  # Its partner 1 / conj(z) is listed instead.
+            continue  # Its partner 1 / conj(z), inside the circle, is listed instead.
         root = math.atan2(z.imag, z.real)
         find_null(d.e.W, root, d.null)
         find_angles(d.e, rank, pose, root, d.null.x, d.null)
@@ -223,11 +221,10 @@ def solve_loops(forms, arm, T, found, values, within):
             found[t, 0, k] = 0.0
         status, roots, real = VERDICT.unsure, 0.0, math.inf
         for f in range(forms.shape[0]):
-            load(d, view(forms[f]))
+            copy(view(forms[f]), d.row)
             if values.shape[0] > 0:
                 found[t, 0, 3] = set_up(d)[1]
-                for k in range(SIZES.samples):
-                    values[t, k] = d.r.values[k]
+                copy(d.r.values, view(values[t]))
                 break
             pose, rank = use_form(d)
             alone = merge_into(d.found, view(found[t]))

@@ -16,11 +16,11 @@ from .terms import DOUBT, SIZES, VERDICT, Form
 
 
 class OrderingChoice(NamedTuple):
-    """Constants of the choice of orderings, found on 60 arms and 33 kinds of structures."""
+    """Constants of the choice of orderings, set after tries on 60 arms and 33 kinds of structures."""
 
     poses: int = 12  # number of random poses on which orderings are compared
-    kept: int = 4  # number of orderings that are kept
-    share: float = 0.6  # an ordering is kept if it finds most solutions at this share of the poses
+    kept: int = 4  # highest number of orderings that are kept
+    share: float = 0.6  # an ordering is kept if it finds the most solutions at this share of the poses
     # Fourier coefficients of the determinant below this share of the largest are rounding; true ones of 1e-10 occur.
     tone: float = 1e-12
     seed: int = 0
@@ -30,13 +30,13 @@ CHOICE = OrderingChoice()
 
 
 class OrderingResult(NamedTuple):
-    """One ordering of the loop (reversed or not, first joint), and how well it did."""
+    """One ordering of the loop (reversed or not, begun at one of six joints), and how well it did on random poses."""
 
-    row: np.ndarray  # (SIZES.whole,) as `answer.solve_loops` takes it
-    real: np.ndarray  # number of real solutions at each pose
+    row: np.ndarray  # (SIZES.whole,) the ordering, as `answer.solve_loops` takes it
+    real: np.ndarray  # (N,) number of real solutions at each pose
     certain: int  # number of poses at which the list of solutions is certified
-    pairs: bool  # whether two solutions had the same value of the remaining unknown q3
-    radius: float  # median over the poses of the largest error disc's radius
+    pairs: bool  # whether two solutions of a pose had the same q3, the angle that the determinant is a polynomial in
+    radius: float  # median, over the poses, of the radius of the largest error disc
 
 
 def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the tip's pose (4, 4) [m] at q (6,), the product of E1(q1) ... E6(q6) and the pose at q = 0."""
+    """Return the tip's pose (4, 4) [m] of an arm (52,) at q (6,), the product of E1(q1) ... E6(q6) and the pose at q = 0."""
     R, p = np.eye(3), np.zeros(3)
     for (x, y, z, *point), angle in zip(arm[:36].reshape(6, 6), q, strict=True):
         K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -66,7 +66,10 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the array (N, SIZES.rows, SIZES.columns) that `answer.solve_loops` writes for targets T (N, 4, 4)."""
+    """Return the solutions of targets T (N, 4, 4) [m] as an array (N, SIZES.rows, SIZES.columns).
+
+    The array, forms, arm and within are described at `answer.solve_loops`.
+    """
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
     solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)
     return found
@@ -86,7 +89,7 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: OrderingResult) -> tuple:
-        """Return the sort key of an ordering.
+        """Return the key by which orderings of the loop are sorted, the best first.
 
         The best finds all solutions, tells them apart by q3 and has certificates and small error discs.
         """

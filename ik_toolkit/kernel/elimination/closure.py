@@ -11,19 +11,20 @@ import math
 from typing import NamedTuple
 
 from ...compile.jit import compiled, inline, inner, shared
-from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
+from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left, transposed
 from ..kinematics import TAU
 from ..linalg import lu_factor, lu_substitute
 from ..records import Array
+from ..vectors import largest
 from .terms import TRUST
 
 
 @compiled
 class Line(NamedTuple):
-    """An axis in space."""
+    """A line in space, for instance the axis of a joint."""
 
-    along: V3  # unit vector along the axis
-    point: V3  # any point of the axis
+    along: V3  # unit vector along the line
+    point: V3  # any point of the line
 
 
 @compiled
@@ -34,53 +35,55 @@ class JointLoop(NamedTuple):
     X: Array  # (12,) the pose X = E1(q1) ... E6(q6) to reach: rotation matrix by rows, then translation
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
     B: Array  # (6, 6) the inverse of J, with its columns permuted
-    swaps: Array  # (12,) rows that the factorisation exchanged
-    error: Array  # (6,) error twist: how far the loop is from closed
+    swaps: Array  # (12,) for each k, the row that was exchanged with row k when J was factored
+    error: Array  # (6,) how far the loop is from closed, as a twist: linear, then angular
     q: Array  # (6,) joint values
 
 
 @inline
 def pose_of(X):
-    """Return X (12,) as a Pose."""
+    """Return the motion X (12,), a rotation matrix by rows and a vector, as a Pose."""
     return Pose(rotation_at(X, 0), at3(X, 9))
 
 
 @inline
 def line_of(lines, k):
-    """Return row k of lines (6, 6)."""
+    """Return row k of an array of axes (6, 6) as a Line."""
     return Line(at3(lines[k], 0), at3(lines[k], 3))
 
 
 @inline
 def rotated(v, axis, c, s):
-    """Return a vector turned about a unit axis by the angle with cosine c and sine s (Rodrigues 1840)."""
+    """Return a vector v turned about a unit axis by the angle with cosine c and sine s (Rodrigues 1840)."""
     return v * c + axis.cross(v) * s + axis * (axis.dot(v) * (1.0 - c))
 
 
 @inner
 def turned(line, about, c, s):
-    """Return a line turned about another by the angle with cosine c and sine s."""
+    """Return a line turned about another line by the angle with cosine c and sine s."""
     axis = about.along
     return Line(rotated(line.along, axis, c, s), about.point + rotated(line.point - about.point, axis, c, s))
 
 
 @inline
 def line_moved(pose, line):
-    """Return a line moved by a pose."""
+    """Return a line that a pose, taken as a motion, has moved."""
     return Line(pose.axes.times(line.along), pose.axes.times(line.point) + pose.point)
 
 
 @inline
 def inverse(pose):
-    """Return the inverse of a pose."""
-    R = pose.axes
-    back = M3(V3(R.x.x, R.y.x, R.z.x), V3(R.x.y, R.y.y, R.z.y), V3(R.x.z, R.y.z, R.z.z))
+    """Return the inverse of a pose, taken as a motion."""
+    back = transposed(pose.axes)
     return Pose(back, -back.times(pose.point))
 
 
 @shared
 def joint_at(place, backwards, shift):
-    """Return which joint is at position `place` of the reordered loop."""
+    """Return which joint (0 to 5) is at position `place` of the reordered loop.
+
+    backwards: whether the loop is reversed; shift: how many joints later it begins.
+    """
     k = place + shift
     if k >= 6:
         k -= 6
@@ -89,7 +92,7 @@ def joint_at(place, backwards, shift):
 
 @inline
 def wrapped(angle):
-    """Return the angle modulo 2 pi, in [-pi, pi)."""
+    """Return an angle [rad] shifted by a multiple of 2 pi into [-pi, pi)."""
     return angle - TAU * math.floor((angle + math.pi) / TAU)
 
 
@@ -102,7 +105,8 @@ def reorder(axes, X, backwards, shift, lines):
         E(m+1) ... E6 E1' ... Em' = X,  Ei' = X^-1 Ei X,
 
     that is, the axes of the joints that pass to the end are moved by X^-1. For m = 4 and 5 all axes are also moved by X, so that
-    the axes at positions 3 to 5, the robot's side of the equations, do not depend on the target.
+    the axes at positions 3 to 5, the robot's side of the equations, do not depend on the target. axes: (6, 6) in the arm's order;
+    X: (12,) pose; backwards: whether the loop is reversed; shift: m.
     """
     pose = pose_of(X)
     if backwards:
@@ -122,9 +126,10 @@ def reorder(axes, X, backwards, shift, lines):
 
 @inner
 def measure_loop(loop, q):
-    """Write twists and error of the loop at q (6,), and return the largest component of the error.
+    """Write twists and error of the loop at q (6,) to loop.J and loop.error, and return the largest component of the error.
 
-    With G = E1 ... E6, the error is the motion X G^-1 to first order, a vector and the sine of the angle times the axis.
+    With G = E1 ... E6, the error is the motion X G^-1 to first order, a vector and the sine of the angle times the axis. loop:
+    `JointLoop`.
     """
     x, y, z, p = V3(1.0, 0.0, 0.0), V3(0.0, 1.0, 0.0), V3(0.0, 0.0, 1.0), V3(0.0, 0.0, 0.0)
     for k in range(6):
@@ -150,23 +155,21 @@ def measure_loop(loop, q):
 
 
 @inner
-def close(loop, most, longest, still):
+def close(loop):
     """Improve loop.q (6,) by Newton's method, and return the largest component of the error that is left.
 
-    No step moves a joint by more than `longest` [rad]. The first step that moves all joints by less than `still` [rad] is the last,
-    and there are at most `most` steps.
+    No step moves a joint by more than TRUST.longest [rad]. The first step that moves all joints by less than TRUST.still [rad] is
+    the last, and there are at most TRUST.steps. loop: `JointLoop`.
     """
     q, move = loop.q, math.inf
-    for k in range(most + 1):
+    for k in range(TRUST.steps + 1):
         size = measure_loop(loop, q)
-        if k == most or move < still or not size < 1e6:
+        if k == TRUST.steps or move < TRUST.still or not size < 1e6:
             break
         lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
         lu_substitute(loop.J, loop.swaps, loop.error, 6)
-        move = 0.0
-        for i in range(6):
-            move = max(move, abs(loop.error[i]))
-        share = 1.0 if move < longest else longest / move
+        move = largest(loop.error)
+        share = 1.0 if move < TRUST.longest else TRUST.longest / move
         for i in range(6):
             q[i] += share * loop.error[i]
     return size
@@ -174,16 +177,21 @@ def close(loop, most, longest, still):
 
 @inner
 def least_gain(loop):
-    """Return 1 / |J^-1| (Frobenius norm), which is 0.4 to 1 times the least singular value of the Jacobian loop.J."""
+    """Return 1 / |J^-1| (Frobenius norm), which is 0.4 to 1 times the least singular value of the Jacobian J = loop.J.
+
+    It says how far the arm is from a singular pose. loop: `JointLoop`, whose J is overwritten.
+    """
     J, B, total = loop.J, loop.B, 0.0
     lu_factor(J, loop.swaps, 6, TRUST.faint)
-    for i in range(6):  # B = L^-1; the exchanges of rows do not change its norm
+    for i in range(
+        6
+    ):  # First step of the inversion: B = L^-1. The exchanges of rows are left out, as they do not change its norm.
         for j in range(6):
             B[i, j] = 1.0 if i == j else 0.0
         for k in range(i):
             for j in range(6):
                 B[i, j] -= J[i, k] * B[k, j]
-    for i in range(5, -1, -1):  # second step of the inversion: B = U^-1 L^-1
+    for i in range(5, -1, -1):  # Second step of the inversion: B = U^-1 L^-1.
         for k in range(i + 1, 6):
             for j in range(6):
                 B[i, j] -= J[i, k] * B[k, j]

@@ -48,16 +48,16 @@ class Split(NamedTuple):
     shift: float  # the reordered loop begins this many joints later
     parallel: float  # 1 if three axes are parallel, 0 if there is a wrist
     degree: float  # always 0: there is no determinant
-    off: float  # how far the actual axes are from the moved ones, at least rounding
-    # the first equation has one unknown; 1 if it equates distances (two axes meet), 0 if heights along an axis
+    off: float  # how far the actual axes are from the moved ones (at least the rounding error)
+    # The equation that is solved first has one unknown; 1 if it equates distances (two axes meet), 0 if heights along an axis.
     square: float
-    third: float  # 1 if this unknown is joint 3, 0 if it is joint 1
+    third: float  # 1 if the unknown of the equation that is solved first is joint 3, 0 if it is joint 1
 
 
 # ------------------------------------------------------------------------------------------------------------------ branches
 @inline
 def turn_back(v, line, t):
-    """Return a direction turned about a line by -t."""
+    """Return a direction v turned about a line by the angle -t [rad]."""
     return rotated(v, line.along, math.cos(t), -math.sin(t))
 
 
@@ -69,10 +69,16 @@ def lever(line, point):
 
 @inner
 def put_branch(d, free, half, merged, doubt, error, near):
-    """Refine the branch null.t (6,), angles of the reordered loop, and add it to d.found; a doubtful one makes the answer UNSURE.
+    """Refine the branch d.null.t (6,), angles of the reordered loop, and add it to d.found; a doubtful one makes the answer UNSURE.
 
-    free: index in the loop of a free angle, or -1; half: by how much it may turn either way [rad]; error: bound of errors [rad];
-    near: add only a branch that has merged with another, and do not refine it.
+    Args:
+        d: The arrays of `answer.Work`.
+        free: Index in the loop of an angle that may have any value, or -1.
+        half: By how much that angle may turn either way [rad].
+        merged: Whether the branch may be the same as another, or may not exist.
+        doubt: Whether it is doubtful.
+        error: Bound of the errors of its angles [rad].
+        near: Whether only a branch that has merged with another is added, and not refined.
     """
     q, found = d.loop.q, d.found
     to_joints(d)
@@ -84,17 +90,17 @@ def put_branch(d, free, half, merged, doubt, error, near):
                 found[count + 1, i] = wrapped(q[i])
             found[0, 7] = -1.0 if free >= 0 else found[0, 7]
         return
-    # An angle that may not be free is refined, as the answer must list no poses that miss the target.
+    # An angle is refined if it is not certain to be free, as the answer must list no poses that miss the target.
     free = -1 if doubt else free
     size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
     if free < 0 and (size > TRUST.closed or (inexact and not merged)):
-        size = close(d.loop, TRUST.steps, TRUST.longest, TRUST.still)
+        size = close(d.loop)
         for place in range(6):
             t = -d.null.t[place] if d.form[0] > 0.0 else d.null.t[place]
             moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
     for i in range(6):
         q[i] = wrapped(q[i])
-    # A solution that belongs to a continuum need not be as accurate.
+    # A solution in a continuum need not be as accurate as an isolated one.
     closed = size < (TRUST.closed if free < 0 else DOUBT.loose) and moved <= max(DOUBT.apart, DOUBT.band * error)
     gain, again = least_gain(d.loop), 0
     if closed:
@@ -110,7 +116,10 @@ def put_branch(d, free, half, merged, doubt, error, near):
 
 @inner
 def split_wrist(d, pose, off, near):
-    """List the branches of an arm whose last three axes meet."""
+    """List the branches of an arm whose last three axes meet.
+
+    d: the arrays of `answer.Work`, which get the branches; pose: pose of the reordered loop; off, near: as for `decompose`.
+    """
     lines, t = d.e.lines, d.null.t
     one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
@@ -154,7 +163,7 @@ def split_wrist(d, pose, off, near):
             merged = A.merged or B.merged or C.merged or D.merged
             free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
             if D.number == 0 and (A.free or B.free or C.free):
-                # Other values of the free angle may have solutions.
+                # There may be solutions at other values of the free angle.
                 d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
@@ -166,13 +175,16 @@ def split_wrist(d, pose, off, near):
 
 @inner
 def split_parallel(d, pose, off, near):
-    """List the branches of an arm whose axes 2 to 4 are parallel and whose axes 5 and 6 meet."""
+    """List the branches of an arm whose axes 2 to 4 are parallel and whose axes 5 and 6 meet.
+
+    d: the arrays of `answer.Work`, which get the branches; pose: pose of the reordered loop; off, near: as for `decompose`.
+    """
     lines, t = d.e.lines, d.null.t
     one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal, w = pose.axes.times(six.point) + pose.point, two.along
     error = off * (1.0 + math.sqrt(goal.square()))
-    # E2 E3 E4 keeps heights along w, so that of E1^-1 X o is that of o, where axes 5 and 6 meet.
+    # E2 E3 E4 keeps heights along w, so the height of E1^-1 X o equals that of o, the point where axes 5 and 6 meet.
     A = solve_sum(height_on(circle_about(one, goal, -1.0), w), w.dot(six.point), error)
     normal, elbow = any_normal(w), circle_about(three, four.point, 1.0)
     for i in range(12 if A.free else A.number):
@@ -199,7 +211,7 @@ def split_parallel(d, pose, off, near):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
             t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
-            # E2 E3 E4 = E1^-1 X E6^-1 E5^-1, applied to the point four and to a normal of w
+            # E2 E3 E4 = E1^-1 X E6^-1 E5^-1 is applied to the point of axis 4 and to a normal of w.
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
@@ -218,12 +230,13 @@ def split_parallel(d, pose, off, near):
                 free = 0 if A.free else 5 if loose else 1 if C.free else -1
                 put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
     if A.free and d.found[0, 0] == 0.0:
-        d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0  # Values of joint 1 between those tried may have solutions.
+        # There may be solutions at values of joint 1 between those that were tried.
+        d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0
 
 
 @inner
 def decompose(d, off, near):
-    """Solve for the target in d with the decomposition in d.form and d.mix: write d.found, as an elimination does.
+    """Solve for the target in d (Work) with the decomposition in d.form and d.mix: write d.found, as an elimination does.
 
     off: the error that every number is assumed to have. near: whether to list only the branches that merge within this error, and
     not to refine them.
@@ -244,9 +257,13 @@ def decompose(d, off, near):
 
 # --------------------------------------------------------------------------------------------------------------- recognition
 def splits_of(arm: np.ndarray) -> list[np.ndarray]:
-    """Return the decompositions (`Split` rows) that an arm (52,) may have, those with the smallest misfit first."""
+    """Return the decompositions that an arm may have, a list of `Split` rows, those with the smallest misfit first.
+
+    arm: (52,) geometry, see `answer.solve_loops`.
+    """
     wrist, lines = (True, (3, 4, 5)), arm[:36].reshape(6, 6)
-    # The fields `parallel`, `square` and `third` of a Split, and its conditions: axes that must meet (True) or be parallel (False).
+    # Each row has the fields `parallel`, `square` and `third` of a Split, then its conditions: axes that must meet (True) or be
+    # parallel (False).
     structures = (
         (0, 0, 0, (wrist, (False, (1, 2)))),
         (0, 1, 0, (wrist, (True, (1, 2)))),
@@ -262,7 +279,7 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
             for meet, places in conditions:
                 which = [joints[place] for place in places]
                 if any(abs(i - j) != 1 for i, j in itertools.pairwise(which)):
-                    break  # These joints are not consecutive: the target is between them.
+                    break  # The target is between two of these joints, as they are not consecutive.
                 made[which] = (_meeting if meet else _parallel)(made[which])
             else:
                 off = max(_apart(lines, made), DOUBT.rounding)
@@ -275,9 +292,9 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
 
 
 def nearest_point(lines: np.ndarray) -> np.ndarray:
-    """Return the point (3,) nearest to lines (K, 6)."""
+    """Return the point (3,) nearest to lines (K, 6), each a unit direction and a point."""
     axes, points = lines[:, :3], lines[:, 3:]
-    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projection normal to each axis
+    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projection onto the plane normal to each axis
     return np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
 
 

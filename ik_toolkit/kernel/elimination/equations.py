@@ -30,34 +30,34 @@ from .terms import SIZES, TRUST
 
 @compiled
 class LoopEquations(NamedTuple):
-    """The equations of one target, for one ordering of the loop."""
+    """The equations of one target for one ordering of the loop; the 14 columns of a table are the numbers of a line."""
 
     lines: Array  # (6, 6) the joint axes in this ordering
-    robot: Array  # (27, 14) coefficients in 1, cos, sin of joints 3, 4, 5
-    target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2
-    V: Array  # (8, 14) QR factors of the columns of `target` without the constant one
-    scales: Array  # (8,) factors of the reflections of that QR
-    order: Array  # (8,) order of the columns in that QR factorisation
+    robot: Array  # (27, 14) coefficients in 1, cos, sin of joints 3, 4, 5, see `write_left`
+    target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2, see `write_right`
+    V: Array  # (8, 14) QR factors of the 8 rows of `target` without the constant one, taken as columns
+    scales: Array  # (8,) scale of each reflection in the QR factorisation of V, see `linalg.triangle`
+    order: Array  # (8,) order of the columns in the QR factorisation of V
     # (27, 14) the coefficients robot - target[0], transformed by the reflections of the QR factorisation
     reduced: Array
-    W: Array  # (3, 6, 9) the 6 equations in 9 monomials: coefficients of 1, cos q3, sin q3
+    W: Array  # (3, 6, 9) coefficients of 1, cos q3, sin q3 in the 6 equations for 9 monomials of joints 4 and 5
 
 
 @inner
 def cosine(k):
-    """Return the cosine of 0, 120, -120 deg for k = 0, 1, 2."""
+    """Return the cosine of the angle number k: 0, 120 or -120 deg for k = 0, 1, 2."""
     return 1.0 if k == 0 else -0.5
 
 
 @inner
 def sine(k):
-    """Return the sine of 0, 120, -120 deg for k = 0, 1, 2."""
+    """Return the sine of the angle number k: 0, 120 or -120 deg for k = 0, 1, 2."""
     return 0.0 if k == 0 else math.sqrt(0.75) if k == 1 else -math.sqrt(0.75)
 
 
 @inner
 def write_numbers(line, origin, row):
-    """Write the 14 numbers of a line to row (14,), with points counted from `origin`."""
+    """Write the 14 numbers that describe a line to row (14,), with points counted from `origin` (V3)."""
     p, along = line.point - origin, line.along
     pp, pl = p.square(), p.dot(along)
     put3(row, 0, p)
@@ -69,7 +69,10 @@ def write_numbers(line, origin, row):
 
 @inner
 def fit_joint(table, stride):
-    """Replace values at 0, 120, -120 deg of one joint, `stride` rows apart, by the coefficients of 1, cos, sin."""
+    """Replace values at 0, 120, -120 deg of one joint by the coefficients of 1, cos, sin of its angle.
+
+    table: (M, 14), one point of the grid of all joints a row; the three values of this joint are `stride` rows apart.
+    """
     for m in range(table.shape[0]):
         if m // stride % 3 == 0:
             for n in range(SIZES.numbers):
@@ -83,7 +86,8 @@ def fit_joint(table, stride):
 def write_left(lines, table):
     """Write to table (27, 14) the line numbers of E3 E4 E5 l as coefficients of products of 1, cos, sin of joints 3, 4 and 5.
 
-    With 0, 1, 2 for 1, cos, sin of the three joints (a, b, c), the row of a product is 9 a + 3 b + c.
+    With 0, 1, 2 for 1, cos, sin of the three joints (a, b, c), the row of a product is 9 a + 3 b + c. lines: (6, 6) axes of the
+    reordered loop; l is the axis of joint 6.
     """
     third, fourth, fifth, last = line_of(lines, 2), line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     for k in range(3):
@@ -102,7 +106,8 @@ def write_left(lines, table):
 def write_right(lines, pose, table):
     """Write to table (9, 14) the line numbers of E2^-1 E1^-1 X l as coefficients of products of 1, cos, sin of joints 1 and 2.
 
-    With 0, 1, 2 for 1, cos, sin of the two joints (a, b), the row of a product is 3 a + b.
+    With 0, 1, 2 for 1, cos, sin of the two joints (a, b), the row of a product is 3 a + b. lines: (6, 6) axes of the reordered
+    loop; pose: its pose X; l is the axis of joint 6.
     """
     first, second, third, last = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2), line_of(lines, 5)
     there = line_moved(pose, last)
@@ -117,9 +122,10 @@ def write_right(lines, pose, table):
 
 @inline
 def reduce(e, mix):
-    """Eliminate joints 1 and 2: fill e.V, e.reduced and e.W, and return the rank.
+    """Eliminate joints 1 and 2 from the equations e (LoopEquations): fill e.V, e.reduced and e.W.
 
-    mix (6, 14): fixed numbers by which more than 6 equations are combined to 6.
+    Returns the rank of the coefficients of their 8 monomials. mix (6, 14): fixed numbers by which more than 6 equations, left if
+    the rank is less than 8, are combined to 6.
     """
     for c in range(8):
         for n in range(SIZES.numbers):
@@ -148,9 +154,9 @@ def reduce(e, mix):
 
 @inner
 def write_powers(w):
-    """Convert coefficients (9,) of 1, cos, sin of joints 4 and 5 to those of powers of x = tan(q / 2), multiplied by 1 + x^2.
+    """Convert coefficients w (9,) of 1, cos, sin of joints 4 and 5 to those of powers of x = tan(q / 2), multiplied by 1 + x^2.
 
-    u + c cos q + s sin q becomes (u + c) + 2 s x + (u - c) x^2.
+    For each joint, u + c cos q + s sin q becomes (u + c) + 2 s x + (u - c) x^2.
     """
     for i in range(3):
         u, c, s = w[3 * i], w[3 * i + 1], w[3 * i + 2]
@@ -164,8 +170,9 @@ def write_powers(w):
 def determinant(W, c, s, A, N):
     """Return the determinant of the 12 equations at cos q3 = c, sin q3 = s (Manocha and Canny 1994).
 
-    With W = [a b d] in blocks of the powers of x4, the matrix is [a b d 0; 0 a b d]. The first block, a (6 x 3), is eliminated once
-    for both copies, then 9 x 9 are left. A (6, 9) and N (9, 9) are scratch.
+    W (3, 6, 9) holds coefficients of 1, cos q3, sin q3. At one q3, with [a b d] in blocks of the powers of x4, the matrix of the
+    equations is [a b d 0; 0 a b d]. The first block, a (6 x 3), is eliminated once for both copies, then 9 x 9 are left. A (6, 9)
+    and N (9, 9) are scratch.
     """
     for k in range(6):
         for m in range(9):
@@ -182,7 +189,7 @@ def determinant(W, c, s, A, N):
 
 @inner
 def eliminate(A, rows, columns, count):
-    """Reduce the first `count` columns of A (rows, columns) to upper triangular form (Gaussian elimination, partial pivoting).
+    """Bring the first `count` columns of A (rows, columns) to upper triangular form (Gaussian elimination, partial pivoting).
 
     Returns the product of the pivots, and the sign of the row permutation.
     """

@@ -27,7 +27,7 @@ class Circle(NamedTuple):
     ahead: V3
 
     def spot(self, c, s):
-        """Return the point at the angle with cosine c and sine s."""
+        """Return the point of the circle at the angle with cosine c and sine s."""
         return self.middle + self.side * c + self.ahead * s
 
     def width(self):
@@ -36,7 +36,7 @@ class Circle(NamedTuple):
 
 @compiled
 class Sum(NamedTuple):
-    """A quantity of a point on a circle: k + a cos x + b sin x."""
+    """A quantity that depends on where a point is on a circle: k + a cos x + b sin x."""
 
     k: float
     a: float
@@ -46,31 +46,31 @@ class Sum(NamedTuple):
         return self.k + self.a * c + self.b * s
 
     def drift(self, c, s, error):
-        """Return by how much the value may be off if the angle x is off by `error`."""
+        """Return by how much the value at cosine c and sine s may be off if the angle is off by `error` [rad]."""
         return error * (abs(self.b * c - self.a * s) + error * self.swing())
 
     def swing(self):
-        """Return the largest difference of the value from k."""
+        """Return by how much the value differs from k at most."""
         return math.sqrt(self.a * self.a + self.b * self.b)
 
 
 @compiled
 class Angles(NamedTuple):
-    """The solutions of a subproblem."""
+    """The angles that solve a subproblem; `first` and `second` are in rad."""
 
     first: float
     second: float
-    number: int  # number of solutions: 2, 1 (both merge), or 0
-    error: float  # bound on the error of the solutions [rad]
-    free: bool  # whether every angle is a solution; `first` is one of them
+    number: int  # number of solutions: 2, 1 (the two are one), or 0
+    error: float  # bound on the error of the angles [rad]
+    free: bool  # whether every angle is a solution, of which `first` is one
     merged: bool  # whether the two solutions may really be one, or none, within the error
-    # whether the answer is uncertain because solutions that may merge, or not exist, could be visibly apart
+    # whether solutions that may be one, or none, within the error could be apart by more than can be neglected
     doubt: bool
 
 
 @inline
 def circle_about(line, point, sense):
-    """Return the circle of a point that turns about a line by x, or by -x (sense 1.0 or -1.0)."""
+    """Return the Circle of a point (V3) that turns about a line by the angle x, or by -x (sense 1.0 or -1.0)."""
     away = point - line.point
     height = line.along * line.along.dot(away)
     side = away - height
@@ -79,20 +79,23 @@ def circle_about(line, point, sense):
 
 @inline
 def height_on(circle, axis):
-    """Return the height, along an axis through the origin, of a point on a circle: a Sum, k + a cos x + b sin x."""
+    """Return how high a point on a circle is along an axis through the origin, as a Sum."""
     return Sum(circle.middle.dot(axis), circle.side.dot(axis), circle.ahead.dot(axis))
 
 
 @inline
 def square_on(circle, point):
-    """Return half the squared distance between a point on a circle and a fixed point: a Sum, k + a cos x + b sin x."""
+    """Return half the squared distance between a point on a circle and a fixed point, as a Sum."""
     m = circle.middle - point
     return Sum(0.5 * (m.square() + circle.side.square()), m.dot(circle.side), m.dot(circle.ahead))
 
 
 @inner
 def solve_sum(sum, value, error):
-    """Solve k + a cos x + b sin x = value for x, where each number may be off by `error`."""
+    """Return, as Angles, the solutions x of k + a cos x + b sin x = value, where each number may be off by `error`.
+
+    sum: the left side (Sum).
+    """
     a, b, c = sum.a, sum.b, value - sum.k
     size, band = math.sqrt(a * a + b * b), DOUBT.band * error
     if not abs(c) - size <= band:
@@ -109,7 +112,7 @@ def solve_sum(sum, value, error):
 
 @inner
 def angle_from(axis, start, end, error):
-    """Return, as Angles, the rotation about a unit axis that takes the direction `start` nearest to `end`.
+    """Return, as Angles, the rotation about a unit axis that takes the direction `start` as near as possible to `end`.
 
     Both directions, of any length, may be off by `error`.
     """
@@ -123,21 +126,21 @@ def angle_from(axis, start, end, error):
 
 @compiled
 class AngleRanges(NamedTuple):
-    """The angles at which a quantity of a point on a circle is between two bounds: one or two arcs, given by their middles."""
+    """One or two arcs of a circle, of equal length; `first` and `second` are the angles of their middles [rad]."""
 
     first: float
     second: float
     number: int
-    half: float  # half the length of each arc [rad]
+    half: float  # half the angle of each arc [rad]
 
 
 @inner
 def arcs_between(sum, low, high):
-    """Return the arcs on which low <= k + a cos x + b sin x <= high; if there are none, the angles that come nearest."""
+    """Return the arcs on which low <= k + a cos x + b sin x <= high (a Sum); if there are none, the angles that come nearest."""
     size, middle = max(sum.swing(), 1e-300), math.atan2(sum.b, sum.a)
     near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
     far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
-    if near == 0.0:  # Both arcs meet at `middle`; if far is pi, they meet opposite to it instead.
+    if near == 0.0:  # Both arcs meet at the angle `middle`, or opposite to it if `far` is pi, so they are one.
         return AngleRanges(middle, middle, 1, far)
     if far == math.pi:
         return AngleRanges(middle + far, middle + far, 1, far - near)

@@ -8,11 +8,18 @@ import pytest
 import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
+from ik_toolkit.compile.array_view import space
 from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import pack_tree
 from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import WHAT, Ends
-from ik_toolkit.kernel.tree import make_tree
+from ik_toolkit.kernel.tree import tree_on
+
+
+def make_tree(rows, ends, tasks, n, orders):
+    """The problem of several tips, with scratch arrays of its own."""
+    block = np.zeros(space(n, 6 * len(ends), len(rows), 0))
+    return tree_on(block, rows, ends, tasks, n, orders)
 
 
 def pair(rng, left="tttstt", right="tttst"):
