@@ -14,7 +14,7 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# [s] Least time between two points of a spline: scipy computes its third power and the inverse of that power.
+# [s] Least time between two points of a spline: scipy computes 1 / time^3, which overflows for shorter times.
 SHORTEST = 1e-100
 # [m/rad] length that counts as much as a rotation of 1 rad when a duration is divided among waypoints
 RADIAN_AS_METRES = 0.25
@@ -27,7 +27,7 @@ def waypoints(
     times: Sequence[float] | None = None,
     law: str = "minimum-jerk",
 ) -> Reference:
-    """Make a reference through poses or positions in order. Either times or duration is given.
+    """Make a moving target (Reference) through poses or positions in order. Either times or duration is given.
 
     Args:
         targets: At least two poses (4, 4), or positions (3,), base frame [m].
@@ -137,7 +137,7 @@ def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Sample
 
 
 def reference_from_file(path: str | Path) -> Reference:
-    """Read a reference from a CSV or NPZ file of poses over time. Needs scipy.
+    """Read a moving target (Reference) from a CSV or NPZ file of poses over time. Needs scipy.
 
     A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad].
     An NPZ file has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic
