@@ -25,11 +25,12 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """The URDF text of a source.
+    """A robot description converted to URDF.
 
-    Relative paths in it start from the folder of `file`. `notes`, `srdf` and `constraints` come from an MJCF file
-    (see `mjcf.Read`). `made` tells whether the text was made from xacro or MJCF, so that line numbers are not those of
-    the file.
+    `text` is the URDF; relative paths in it start from the folder of `file`, and ROS packages are searched in `package_dirs`. What
+    an MJCF file says beyond URDF is in `notes` (sentences on what was left out), `srdf` (configurations and pairs of links that
+    may touch) and `constraints`. `made` tells that the text was made from another format, so that its line numbers are not those
+    of the file.
     """
 
     text: str
@@ -47,9 +48,9 @@ def urdf_of(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> Urdf:
-    """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
+    """Read the description of a library entry (URDF, xacro or MJCF) as URDF. Raises what `Robot.load` raises.
 
-    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that they are no error for a plain URDF.
+    elsewhere: whether another file (the SRDF) uses the xacro arguments too, so that they are no error for a plain URDF.
     """
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
@@ -80,7 +81,7 @@ def read_source(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a robot; return its library entry, and the model, name, text and folders that `Robot` needs.
+    """Read a robot by name, path or text; return its library entry, and arguments for `Robot` with `own`, the SRDF of MJCF.
 
     Raises what `Robot.load` raises.
     """
@@ -96,7 +97,7 @@ def read_source(
 
 
 def built_model(text: str, name: str = "the URDF") -> pin.Model:
-    """Return Pinocchio's model of a URDF text. Raises ModelError."""
+    """Build a Pinocchio model from URDF text; `name` is for messages. Raises ModelError."""
     try:
         return build_model(text)
     except Exception as error:
@@ -110,16 +111,19 @@ def read_both(
     srdf: Any,
     group: str | None,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a source as `read_source` does, and its SRDF (see `srdf_of`), which may be named as a xacro file."""
+    """Read a robot by name, path or text, and its SRDF; return its library entry and a dict of arguments for `Robot`.
+
+    The arguments are those of `Robot.load`. Raises what `Robot.load` raises.
+    """
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     given = expanded(srdf, made["package_dirs"], xacro_args)
     return entry, made | {"srdf": srdf_of(given, made["model"], entry.path, made.pop("own"), group)}
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
-    """Return model, collision shapes and visual shapes (or None), given one by one, as a tuple or as a RobotWrapper.
+    """Return a Pinocchio model, its collision and its visual shapes (or None), given one by one, as a tuple or as a RobotWrapper.
 
-    If none is given, the model is built from the URDF text, if there is one. Raises ModelError.
+    If no model is given, it is built from the text `urdf`. Raises ModelError.
     """
     own: list[Any] = [None, None]
     if isinstance(model, pin.RobotWrapper):
@@ -160,10 +164,10 @@ def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
 def default_base(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
+    """Return the name of the base frame for `Robot.load` (None: the root): the given one, or else that of the library entry.
 
-    The last is used if the tip is below a floating or planar joint and no base_limits are given. This joint is then locked, and a
-    note about that is added to `made`, the arguments for `Robot`.
+    If the tip is below a floating or planar joint and no base_limits are given, it is the link that this joint moves; the joint is
+    then held still, which is noted in `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -177,9 +181,9 @@ def default_base(
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:
-    """Return folders from a list, or from a single name (which would otherwise be read letter by letter).
+    """Return the option package_dirs, a list of folders or a single one, as a list of paths.
 
-    Raises InvalidOption.
+    Raises InvalidOption if one of them does not exist.
     """
     try:
         folders = [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
@@ -198,17 +202,20 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
     weigh grams per metre.
 
     Args:
-        model: of the robot.
-        joints: ids of the joints from base to tip; the first may be far from the base, for example if the base is a map frame.
-        tip: id of the tip's frame.
-        strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
+        model: The Pinocchio model of the robot.
+        joints: Ids of the joints from base to tip. The distance from base to first joint does not count, as the base may be a map.
+        tip: Id of the tip's frame.
+        strokes: (2, k) Lower and upper limits [m] of the prismatic joints, without those of a moving base.
+
+    Returns:
+        A list with the note, or an empty one.
     """
     places = [model.jointPlacements[j] for j in joints[1:]] + [model.frames[tip].placement]
     # A stroke of kilometres means "unlimited", as for a base that drives, so it is not counted as a length.
     travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
-    if not (long > 50.0 and mass < 100.0 * long):  # length [m], mass per length [kg/m]
+    if not (long > 50.0 and mass < 100.0 * long):  # more than 50 m, and less than 100 kg per metre
         return []
     weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [

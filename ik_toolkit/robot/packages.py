@@ -22,11 +22,11 @@ def find_package(
     package_dirs: Iterable[str | Path] = (),
     environment: Mapping[str, str] = os.environ,
 ) -> Path | None:
-    """Find the folder of a ROS package, with symbolic links resolved, or return None.
+    """Return the folder of the ROS package `name`, with symbolic links resolved, or None if it is not found.
 
-    The name of a package is that in its package.xml, or the folder's. These are searched in turn: package_dirs (packages, or
-    folders that contain some), the parent folders of the referring file `start` and the packages next to them, ROS_PACKAGE_PATH,
-    AMENT_PREFIX_PATH, and data packages installed by pip.
+    The name of a package is that in its package.xml, or else that of its folder. The search goes through package_dirs (packages, or
+    folders that contain some), the parent folders of the file `start` that names the package and the folders next to them, the
+    variables ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and data packages installed by pip.
     """
     if not NAME.fullmatch(name) or set(name) == {"."}:
         return None
