@@ -17,10 +17,8 @@ from .base import joint_value, put_joint
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits, mimics
 
-STEPS, TRIES = (
-    40,
-    5,
-)  # To close a loop by joints off the path: steps of Levenberg-Marquardt from each start, and starts.
+# To close a loop by joints off the path to the tip: steps of Levenberg-Marquardt from each start, and number of starts.
+STEPS, TRIES = 40, 5
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
 SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)

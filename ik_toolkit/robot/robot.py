@@ -32,9 +32,9 @@ from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
 
-# a copy must not share these caches
+# attributes with caches, which a copy must not share
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
-# types of frame of a base or tip
+# the types of Pinocchio frame that may be a base or a tip: links, and joints
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
@@ -96,7 +96,7 @@ class Robot(Joints):
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits set by `narrowed`, by joint.
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # (lower, upper) by joint, of a copy made by `narrowed`
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in (followers(urdf).rest if urdf else {}).items():
             self._set_rest(joint, value, False)
@@ -170,12 +170,12 @@ class Robot(Joints):
 
     @classmethod
     def from_mjcf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load an MJCF file or text (needs the extra `formats`); options and errors as in `load`."""
+        """Load a robot from an MJCF file or text (needs the extra `formats`); options and errors as in `load`."""
         return cls.from_urdf(source, **options)
 
     @classmethod
     def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load a URDF or xacro file, or URDF text; options and errors as in `load`, which also takes names and MJCF."""
+        """Load a robot from a URDF or xacro file, or from URDF text; options and errors as in `load`, but no library names."""
         require_text_or_file(source)
         return cls.load(source, **options)
 
@@ -251,7 +251,7 @@ class Robot(Joints):
         self._compare()
         strokes = np.array([lower, upper])[:, self.slides & ~based]
         self._note(doubted_size(model, path.joints, tip_id, strokes))
-        # A home without the coordinates of a moving base is completed by the base's start.
+        # The home of a library robot has no values for the joints of a moving base, so they are put before it.
         if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
@@ -266,7 +266,7 @@ class Robot(Joints):
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # this form of the comparison refuses NaN, too
+        if not off <= AGREE:  # `off > AGREE` would accept NaN.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
@@ -274,12 +274,12 @@ class Robot(Joints):
 
     @property
     def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The robot itself; a Tree has one Robot per tip."""
+        """A tuple with this robot alone, as a Tree has one of a Robot for each tip."""
         return (self,)
 
     @property
     def data(self) -> pin.Data:
-        """The pin.Data of the calling thread; each thread has its own."""
+        """Working memory of Pinocchio (pin.Data) for this model; each thread has its own."""
         data = getattr(self._local, "data", None)
         if data is None:
             data = self._local.data = self.model.createData()
@@ -292,7 +292,7 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
-        # A joint between root and base may mimic one on the path, so the base can move.
+        # The base is not fixed: a joint between the root and the base may mimic one on the path.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
@@ -308,7 +308,7 @@ class Robot(Joints):
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
-        # The Jacobian of the tip relative to the base is the difference of both.
+        # The base moves too, so its Jacobian is subtracted from that of the tip.
         for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):
             K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
             K[:3] -= pin.skew(point - frame.translation) @ K[3:]
@@ -317,9 +317,10 @@ class Robot(Joints):
         return base.actInv(tip) * self.tool, np.vstack([R @ J[:3], R @ J[3:]])
 
     def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
-        """Compute the distance [m] and rotation angle [rad] of the tip at q (n,) [rad or m] from a target by Pinocchio.
+        """Compute by Pinocchio how far the tip at q (n,) [rad or m] is from a target: distance [m] and rotation angle [rad].
 
-        The target is a pose or a position [m] in the base frame (angle None). Raises InvalidConfiguration, InvalidTarget.
+        The target is a pose, or a position [m], for which the angle is None, in the base frame. Raises InvalidConfiguration,
+        InvalidTarget.
         """
         target = self.each_tip(target).get(self.tip, target)
         return self._errors(self.check_q(q), check_target(target, self.base)[0])
@@ -357,7 +358,7 @@ class Robot(Joints):
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose targets, fk and errors refer to a tool frame, at T_tip_tool (4, 4) in the tip frame.
 
-        shape is the tool's collision shape, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
+        `shape` is a collision shape (Shape) of the tool, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
         T = as_matrix(T_tip_tool, "tool", self.reach)
         other = self._variant()

@@ -27,7 +27,7 @@ from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, ne
 KINDS = ("revolute", "prismatic", "continuous")
 COLUMNS = ("name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort")
 SETTINGS = ("name", "convention", "angles", "lengths", "base", "tool", "joint")
-MAX_ROWS = 1000  # Limit on the number of joints, the same as that of a URDF.
+MAX_ROWS = 1000  # A table with more joints is refused; a URDF may have as many.
 MAX_BYTES = 1_000_000  # Limit on the size of a file [bytes].
 
 
@@ -53,9 +53,10 @@ class DHRow:
 
 @dataclass(frozen=True)
 class DHTable:
-    """A D-H table in metres and radians.
+    """A table of Denavit-Hartenberg (D-H) parameters in metres and radians.
 
-    The convention is 'classic' or 'modified'; base and tool are poses (4x4) before the first and after the last row.
+    `convention` is 'classic' or 'modified'. `base` (4, 4) is the pose of the first frame in the base, `tool` (4, 4) that of the
+    tool in the last frame.
     """
 
     name: str
@@ -65,7 +66,7 @@ class DHTable:
     tool: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as numbers, strings and lists, ready for JSON."""
+        """Return the table as a dict of numbers, strings and lists, as JSON can store it."""
         columns = ("name", "type", "theta", "d", "a", "alpha")
         rows = [{name: getattr(row, name) for name in columns} for row in self.rows]
         return {"convention": self.convention, "rows": rows, "base": self.base.tolist(), "tool": self.tool.tolist()}
@@ -125,7 +126,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         raise ModelError(f"a D-H table is a .toml or .csv file, not '{path.name}'")
     try:
         raw = path.read_bytes()
-    except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
+    except (OSError, ValueError) as error:  # A path that contains a NUL character raises ValueError.
         raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {why_unread(error)}") from None
     if len(raw) > MAX_BYTES:
         raise ModelError(f"the D-H table '{path.name}' is larger than {MAX_BYTES // 1_000_000} MB")
@@ -137,7 +138,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         return dh_table({"name": path.stem, **_csv_settings(text)})
     try:
         settings = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError also covers an integer of thousands of digits.
+    except (ValueError, RecursionError) as error:  # An integer with thousands of digits raises ValueError.
         raise ModelError(f"the D-H table '{path.name}' is not valid TOML: {error}") from None
     return dh_table({"name": path.stem, **settings})
 

@@ -41,8 +41,8 @@ BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 class Read(NamedTuple):
     """An MJCF model written as URDF.
 
-    `srdf` has the keyframes, as configurations, and the pairs of links that may touch. `notes` says what the URDF lacks.
-    `constraints` has the loops and relations that a URDF cannot hold.
+    `srdf` has the keyframes, as named configurations, and the pairs of links that may touch. `notes` are sentences on what a URDF
+    cannot hold, except for the loops and the relations between joints, which are in `constraints`.
     """
 
     urdf: str
@@ -52,7 +52,7 @@ class Read(NamedTuple):
 
 
 def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
-    """Write an MJCF text as URDF; `path` is the file it comes from.
+    """Convert an MJCF text to URDF with the constraints and named configurations beside it; `path` is its file, or None.
 
     Raises MissingExtra if mujoco is not installed, ModelError if the text cannot be read.
     """
@@ -118,13 +118,13 @@ class _Writer:
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
-        # A ball joint written as five joints: the last two mimic the first two, by (leader, ratio, offset).
+        self.values: list[Any] = []  # Each function turns qpos of a keyframe into pairs of joint name and value.
+        # Of the five joints that replace a limited ball joint, the last two mimic the first two: (leader, ratio, offset) by name.
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
     def read(self) -> Read:
-        """Write the whole model as URDF."""
+        """Convert the whole compiled model, and return the URDF with all that a URDF cannot hold."""
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)

@@ -49,7 +49,7 @@ def tree(text: str) -> ET.Element:
 
 
 class Flattener:
-    """Inlines the includes of a file, all of which must lie inside the given folders."""
+    """Replaces the <include> elements of an MJCF file by the included files, which must lie inside the given folders."""
 
     def __init__(self, path: Path | None, folders: list[Path]) -> None:
         self.home = path.resolve().parent if path else None
@@ -76,7 +76,7 @@ class Flattener:
         return there
 
     def put_in(self, element: ET.Element, beside: Path | None, above: tuple[Path, ...]) -> None:
-        """Replace the includes below an element with their contents."""
+        """Replace the <include> elements below an element, in place, by the contents of the files that they name."""
         children: list[ET.Element] = []
         for child in element:
             if child.tag != "include":
@@ -100,7 +100,7 @@ class Flattener:
 
 
 def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
-    """Return an MJCF model as a single text without file references. Raises ModelError."""
+    """Return an MJCF text without <include> elements and with placeholders for its mesh files. Raises ModelError."""
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())

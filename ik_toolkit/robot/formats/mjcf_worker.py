@@ -25,12 +25,12 @@ MOST = 20_000  # A model with more bodies, joints, geoms, sites, equalities or t
 
 
 def pose_dict(pos: Any, quat: Any) -> dict:
-    """Return a position [m] and a quaternion (w x y z) as a dict."""
+    """Return a position (3,) [m] and a quaternion (4,) w, x, y, z as a dict of lists, ready for JSON."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
 def equalities(m: Any) -> dict:
-    """Return the equalities and tendons of a compiled model."""
+    """Return the equalities and tendons of a compiled MuJoCo model as a dict, ready for JSON."""
     return {
         "equalities": [
             {
@@ -60,7 +60,7 @@ def equalities(m: Any) -> dict:
 
 
 def describe(m: Any) -> dict:
-    """Return the bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
+    """Return all that is read of a compiled MuJoCo model as a dict, ready for JSON; {"error": sentence} if it is too large."""
     if max(m.nbody, m.njnt, m.ngeom, m.nsite, m.neq, m.ntendon, m.nwrap) > MOST:
         return {"error": f"it has more than {MOST:,} bodies, joints, geoms, sites, equalities or tendons"}
 
@@ -127,7 +127,7 @@ def _main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
-    os.environ["MUJOCO_GL"] = "disable"  # nothing is drawn, and to look for OpenGL takes a quarter of the time
+    os.environ["MUJOCO_GL"] = "disable"  # The search for OpenGL, which is not needed, would take a quarter of the time.
     mujoco: Any = importlib.import_module("mujoco")
     limit("CORE", 0)
     limit("AS", job["memory"])

@@ -129,7 +129,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # findings about roots and cycles would only be consequences of the broken joints
+        return  # With broken joints, errors about roots and cycles would only be consequences.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
@@ -173,7 +173,7 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
-ELEMENTS: Mapping[str, tuple[str, ...]] = {  # This maps an element to the elements that it may contain.
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # by element: the elements that it may contain
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
@@ -192,7 +192,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     **{tag: tuple(sizes) for tag, sizes in SIZES.items()},
     "mesh": ("filename", "scale"),
 }
-# No software adds its own attributes to these elements, so an unknown one is probably misspelled.
+# by element: its attributes. No software adds its own to these elements, so an unknown attribute is probably misspelled.
 CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")

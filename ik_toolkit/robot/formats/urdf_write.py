@@ -11,7 +11,7 @@ COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": 
 
 
 def new_robot(name: str) -> ET.Element:
-    """Return an empty <robot> that defines the materials."""
+    """Return a <robot> element with this name that has only the materials used by the other functions of this file."""
     robot = ET.Element("robot", name=name)
     for colour, rgba in COLOURS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
@@ -25,7 +25,7 @@ def to_text(robot: ET.Element) -> str:
 
 
 def add_link(robot: ET.Element, name: str) -> ET.Element:
-    """Append an empty link and return it."""
+    """Append a <link> without shapes to a robot element and return it."""
     return ET.SubElement(robot, "link", name=name)
 
 
@@ -94,7 +94,7 @@ def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
 
 
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a palm and two fingers whose ends enclose the point b [m]."""
+    """Add the shapes of a gripper to a link: a palm, and two fingers whose ends are on both sides of the point b (3,) [m]."""
     size = min(r, float(np.linalg.norm(b - a)) / 5.2)
     T = _along(a, b)
     T[:3, 3] = b
@@ -130,7 +130,7 @@ def origin(parent: ET.Element, T: np.ndarray) -> None:
 
 
 def numbers_text(values: Sequence[float] | np.ndarray) -> str:
-    """Write numbers as an attribute that reads back unchanged."""
+    """Return numbers as the text of an XML attribute with all digits, so that reading it gives the same numbers."""
     return " ".join(_text(value) for value in values)
 
 

@@ -26,9 +26,9 @@ def has_macros(srdf: Any) -> bool:
 
 
 def expanded(srdf: Any, package_dirs: Iterable[str | Path] = (), arguments: Mapping[str, object] | None = None) -> Any:
-    """Return the text of an SRDF if it is given as the name of a xacro file, and anything else unchanged.
+    """Return the option `srdf` with a xacro file replaced by the SRDF text to which it expands; anything else unchanged.
 
-    Raises what `expand` raises.
+    Raises MissingExtra without xacro, InvalidOption for wrong arguments, ModelError.
     """
     return expand(Path(srdf), package_dirs, arguments, "group") if has_macros(srdf) else srdf
 

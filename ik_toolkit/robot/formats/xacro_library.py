@@ -14,7 +14,7 @@ MATH = (
 
 
 def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
-    """Return the functions and constants that a xacro file may use, by namespace: '' (none), 'python' and 'math'."""
+    """Return the functions and constants that xacro expressions may use, by namespace: 'python', 'math' or '' (none)."""
 
     def listed(value: Any) -> list[Any]:
         return [*evaluator.members(value)]
@@ -26,7 +26,7 @@ def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
         return tuple(one.kind for one in every)
 
     def factorial(n: int) -> int:
-        check_bits(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
+        check_bits(n * n if n > 0 else 0)  # The factorial of n has fewer than n^2 bits.
         return math.factorial(n)
 
     def rounded(value: float, digits: int | None = None, ndigits: int | None = None) -> float:

@@ -40,11 +40,11 @@ WORDS = {
 
 
 class Refused(Exception):
-    """A file uses something that is not allowed, or exceeds a limit; the message says what."""
+    """Raised for a xacro file that uses something that is not allowed, or exceeds a limit; the message says what."""
 
 
 class Function:
-    """A function that a file may call, and may pass to `map` and similar functions."""
+    """A function that xacro expressions may call, and may pass to `map` and similar functions."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
         """Store name, Python function, type for `isinstance`, and whether it checks the size of its own result."""
@@ -60,7 +60,7 @@ class Function:
 
 
 class Evaluator:
-    """Evaluates the expressions of one file and counts what they cost."""
+    """Evaluates the expressions of one xacro file without `eval`, and counts steps, so that none runs too long."""
 
     def __init__(self) -> None:
         """Begin with no step counted."""
@@ -79,7 +79,7 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            # the value is a namespace, which needs a check here; values of other types have been checked
+            # The value is a namespace, the only type that was not checked before.
             if isinstance(value, Mapping) and type(value) is not dict:
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
@@ -95,7 +95,7 @@ class Evaluator:
             raise Refused(str(error) or type(error).__name__, text) from None
 
     def value(self, node: ast.expr, names: Mapping[str, Any], depth: int) -> Any:
-        """Return the value of one part of an expression, a node of its syntax tree."""
+        """Return the value of one node of the syntax tree (ast) of an expression."""
         self.spend()
         if depth > DEEP:
             raise Refused(f"it is nested more than {DEEP} deep")
