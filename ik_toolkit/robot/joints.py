@@ -165,10 +165,7 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict from tip names to values; one value without a name goes to the only tip.
-
-        Raises FrameNotFound for an unknown name.
-        """
+        """Return targets or poses as a dict by tip; a single value is that of the only tip. FrameNotFound for an unknown name."""
         if named := is_by_name(given):
             self.check_tips(given)
         return given if named or self.by_tip else {self.tips[0]: given}
@@ -208,10 +205,7 @@ class Joints(ReadOnly):
         return array
 
     def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
-        """Return joint values given as numbers, by joint or by configuration name as (n,), and a sentence on ignored joints.
-
-        The sentence is '' if none was ignored. The values may be outside limits or not finite. Raises InvalidConfiguration.
-        """
+        """Return joint values in any accepted form as an array (n,), not checked, and a sentence on ignored joints, or ''."""
         return read_configuration(self, q, name)
 
     def _values(self, q: Any, name: str = "q") -> np.ndarray:

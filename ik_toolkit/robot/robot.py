@@ -319,8 +319,7 @@ class Robot(Joints):
     def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
         """Compute by Pinocchio how far the tip at q (n,) [rad or m] is from a target: distance [m] and rotation angle [rad].
 
-        The target is a pose, or a position [m], for which the angle is None, in the base frame. Raises InvalidConfiguration,
-        InvalidTarget.
+        The target is a pose or, with angle None, a position [m] in the base frame. Raises InvalidConfiguration, InvalidTarget.
         """
         target = self.each_tip(target).get(self.tip, target)
         return self._errors(self.check_q(q), check_target(target, self.base)[0])
