@@ -176,7 +176,7 @@ def _fetching(name: str, package: str, command: str) -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             yield
-    except Exception as error:  # A download by git can raise any exception.
+    except Exception as error:  # Importing a description downloads it by git, which can raise an exception of any type.
         last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
         said = last.strip().removeprefix("stderr: ").strip("'")[:200]
         raise RobotNotFound(

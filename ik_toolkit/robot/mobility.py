@@ -8,8 +8,8 @@ import numpy as np
 from ..text import angle as in_words
 from ..text import figure, how_many, length
 
-SAMPLES = 24  # number of random configurations; a motion that is possible in none of them counts as impossible
-# Singular values below this share of the largest count as 0, because axes in files have five or six digits.
+SAMPLES = 24  # A motion that is possible at none of this many random configurations counts as impossible.
+# A singular value below this share of the largest counts as 0, because joint axes in files have five or six digits.
 ROUNDING = 1e-5
 DOUBTLESS = 1e-3  # A target is called impossible only if it is off by more than this [rad, or share of the reach].
 NAMES = "xyz"

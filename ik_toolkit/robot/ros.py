@@ -10,7 +10,7 @@ from ..errors import InvalidConfiguration, InvalidTarget, floats
 LARGEST_NANOSEC = 999_999_999  # the largest valid nanosec of a ROS time, to which rounded fractions are cut
 
 
-POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion
+POINT, QUATERNION = "xyz", "xyzw"  # the fields of geometry_msgs/Point and Vector3, and of Quaternion
 
 
 def _field(message: Any, name: str) -> Any:

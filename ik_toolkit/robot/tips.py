@@ -29,7 +29,7 @@ OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover shape dummy".split()
 )
-SHOWN = 3  # A message lists this many candidates.
+SHOWN = 3  # A message lists at most this many candidates for the tip.
 
 
 class Guess(NamedTuple):

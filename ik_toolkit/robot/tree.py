@@ -18,7 +18,7 @@ from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
-ENDS = 8  # A message lists this many path ends.
+ENDS = 8  # A message lists at most this many ends of paths.
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # arms in reversed order, so that values of earlier tips overwrite those of later ones
+        # The arms are taken in reversed order, so that values of earlier tips overwrite those of later ones.
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)

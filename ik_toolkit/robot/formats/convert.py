@@ -20,7 +20,7 @@ from .urdf import plain_origin
 from .urdf_model import build_model
 from .urdf_write import add_joint, add_link, numbers_text, origin, to_text
 
-SHOWN = 3  # number of missing meshes that a message names
+SHOWN = 3  # A message names this many missing meshes and counts the others.
 
 
 class Converted(NamedTuple):
@@ -93,11 +93,11 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
 
 
 def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
-    """Return a robot whose URDF has corrections written into it.
+    """Return a copy of a Robot with corrections (from a calibration) written into its URDF.
 
-    joints maps a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis> of the joints
-    in `against` is reversed. tool is a transform (4, 4) of the tip, applied in the same way to the fixed joint of the tip's link.
-    If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
+    `joints` maps the name of a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis>
+    of the joints in `against` is reversed. `tool` is a transform (4, 4) of the tip, applied in the same way to the fixed joint of
+    the tip's link. If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
     """
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}

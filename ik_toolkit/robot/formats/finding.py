@@ -39,7 +39,7 @@ def odd(element: object, problem: str, advice: str, line: int, at_load: bool = F
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """Return the warnings that loading logs, as sentences, one for all elements with the same advice; lines: name their lines."""
+    """Return as sentences the findings that loading logs; elements with the same advice share one. lines: name their lines."""
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:
@@ -53,6 +53,6 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:
-    """Return ' Did you mean ...?' with the option most like a misspelled name, or '' if none is like it."""
+    """Return ' Did you mean ...?' with that of the options which is most like a misspelled name, or '' if none is like it."""
     found = near_match(name, options).partition(" Available")[0]
     return found if found.startswith(" Did") else ""

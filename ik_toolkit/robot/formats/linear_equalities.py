@@ -54,7 +54,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
     """Solve linear equations between joints by elimination, so that each joint depends on at most one other, if possible."""
     first = list(dict.fromkeys(one.first for one in equations if one.first >= 0))
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
-    columns = [*first, *others]  # The order of the columns: elimination expresses a joint by joints of later columns.
+    columns = [*first, *others]  # Elimination expresses a joint by joints that come later in this order.
     place = {joint: i for i, joint in enumerate(columns)}
     # by pivot column: the coefficients of an equation, then its right-hand side
     rows: dict[int, np.ndarray] = {}
@@ -106,7 +106,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
 
 
 def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
-    """Solve again without the equations in `some`, which no configuration satisfies, and without those that share joints."""
+    """Solve again without the equations in `some`, which no configuration satisfies, or those tied to them by joints."""
     bad = _connected(equations, some)
     rest = solve_linear([one for one in equations if one not in bad])
     return rest._replace(left=[*rest.left, *bad])

@@ -40,7 +40,7 @@ class Followers(NamedTuple):
 
 @functools.lru_cache(maxsize=4)
 def followers(text: str) -> Followers:
-    """Find the mimic joints in a URDF text that `safe_read` has accepted."""
+    """Return the mimic joints of a URDF text, with their leaders, and an order of all joints in which leaders come first."""
     items = parse(text)
     tied, loose = ties(items)
     if not tied:
@@ -105,7 +105,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                # Only the joints of this circle mimic themselves; those before it in the walk mimic its first joint.
+                # From `leader` on, the joints of the walk mimic themselves; those before mimic the first of them.
                 loop = walk[walk.index(leader) :]
                 del walk[walk.index(leader) + 1 :]
                 loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}
@@ -135,7 +135,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
 
 
 def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
-    """Return the ties with another leader for each of `leaders`: the first of the joints tied to it in `order`.
+    """Return the ties with a new leader in place of each of `leaders`: the first in `order` of the joints that follow it.
 
     The motion is the same: q_leader = (q_follower - offset) / ratio. A mimic joint with ratio 0 cannot become a leader.
     """
@@ -173,7 +173,7 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
 
     def path(joint: str) -> list[str]:
         walk: dict[str, None] = {}
-        # The check for loops stops at links joined in a circle, an error that check_urdf reports.
+        # `walk` ends at a joint that it has already, because links may be joined in a circle (an error reported elsewhere).
         while joint and joint not in walk:
             walk[joint] = None
             joint = above.get(ends[joint][0], "")

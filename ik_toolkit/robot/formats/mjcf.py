@@ -29,10 +29,10 @@ from .urdf import attribute_numbers
 from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
-MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
-SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
+MEMORY = 2_000_000_000  # Memory cap [bytes] of the process that runs MuJoCo. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
+SECONDS = 4  # Cap on the processor time [s] of that process. A large robot takes 1 s.
 ENDLESS = 1e16  # An effort or velocity limit of this size means "no limit".
-HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
+HIDDEN = 3  # Shapes of MJCF group 3 and above are not drawn, as in the viewer of MuJoCo.
 # A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
@@ -64,7 +64,7 @@ def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path
     return _Writer(model, path.stem if path else "", flat).read()
 
 
-@functools.lru_cache(maxsize=4)  # A robot is often loaded again, and the process takes a third of a second.
+@functools.lru_cache(maxsize=4)  # A robot is often loaded again, and compiling it takes a third of a second.
 def _compile(xml: str, name: str) -> dict[str, Any]:
     """Compile MJCF text in a subprocess and return the model as MuJoCo describes it, which must not be changed."""
     silent = "it crashed MuJoCo, or took too much time or memory"

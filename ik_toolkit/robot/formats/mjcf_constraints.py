@@ -16,7 +16,7 @@ from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
 SCALAR = ("hinge", "slide")
-JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # MuJoCo numbers the kinds of parts of a tendon so.
+JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # the kinds of parts of a tendon in MuJoCo
 
 
 class Ties(NamedTuple):

@@ -20,8 +20,8 @@ from ik_toolkit.robot.formats.sandbox import limit
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 EQUALITIES = ("connect", "weld", "joint", "tendon")
-SITE = 6  # MuJoCo marks an equality between sites by this number.
-MOST = 20_000  # A model with more bodies, joints, geoms, sites, equalities or tendons is refused.
+SITE = 6  # MuJoCo marks an equality as one between sites by this number.
+MOST = 20_000  # A model with more than this many bodies, joints, geoms, sites, equalities or tendons is refused.
 
 
 def pose_dict(pos: Any, quat: Any) -> dict:
@@ -134,7 +134,7 @@ def _main() -> None:
     limit("CPU", job["seconds"])
     try:
         answer = describe(mujoco.MjModel.from_xml_string(job["xml"]))
-    except Exception as error:  # MuJoCo can raise any exception.
+    except Exception as error:  # MuJoCo can raise an exception of any type.
         answer = {"error": " ".join(str(error).split())[:300] or type(error).__name__}
     print("\n" + json.dumps(answer))
 

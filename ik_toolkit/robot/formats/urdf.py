@@ -27,14 +27,16 @@ class UrdfCaps(NamedTuple):
     depth: int = 64
     attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
     name: int = 255  # A name may have as many characters as a file name, because messages repeat names.
-    tag: int = 1_000_000  # Limit on the bytes of a tag or comment, which the parser keeps in memory as a whole.
+    tag: int = (
+        1_000_000  # A tag or comment with more bytes is refused, because the parser keeps it in memory as a whole.
+    )
     chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
 
 
 CAPS = UrdfCaps()
-BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
+BLANK = "\ufeff \t\r\n"  # characters that may precede the first < of XML: blanks and the byte order mark
 ENDLESS = 1e16  # A joint limit of this size means "no limit".
-# number of degrees of freedom by joint type
+# by joint type: its number of degrees of freedom
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 SIZES = {  # by shape: its attributes with sizes, and how many numbers each of them holds
     "box": {"size": 3},
@@ -164,7 +166,7 @@ def _read_file(path: Path) -> str:
 
 @functools.lru_cache(maxsize=4)
 def parse(text: str) -> list[Item]:
-    """Parse URDF text into the robot, links, joints and materials in the order of the text.
+    """Parse URDF text into Items: the robot, links, joints and materials, in the order of the text.
 
     Raises ModelError if it is no URDF or exceeds a limit.
     """
@@ -284,7 +286,7 @@ def finite_at(attributes: Mapping[str, str] | None, key: str, count: int = 1, de
 
 
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the attributes of an <origin> with its quaternion as rpy.
+    """Return the attributes of an <origin> with roll, pitch and yaw (rpy) in place of a quaternion.
 
     They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is not a rotation.
     """
@@ -300,9 +302,9 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
 
 
 def limits_of_joint(joint: Item) -> tuple[float, float]:
-    """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, and within +-ENDLESS.
+    """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, at most +-1e16 (no limit).
 
-    A mimic joint whose <limit> is missing, or gives neither, is limited only through its leader; its limits are then +-ENDLESS.
+    A mimic joint whose <limit> is missing, or gives neither, is limited only by its leader; its limits are then +-1e16.
     """
     limit = joint.first("limit") or {}
     led = joint.first("mimic") is not None and not limit.keys() & {"lower", "upper"}

@@ -39,10 +39,10 @@ def add_joint(
     limit: Mapping[str, float] | None = None,
     axis: Sequence[float] | np.ndarray = (0.0, 0.0, 1.0),
 ) -> ET.Element:
-    """Append a joint at the pose T (4x4) [m] in the parent link and return it; one with a limit moves about or along the axis.
+    """Append a joint at the pose T (4, 4) [m] in the parent link to a robot element and return it.
 
-    The limits are lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which Pinocchio
-    requires.
+    A joint that moves has a `limit` with lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which
+    Pinocchio requires. It moves about or along `axis`.
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     origin(joint, T)
@@ -57,9 +57,9 @@ def add_joint(
 def add_shape(
     link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
 ) -> None:
-    """Append a visual, and if it is solid a collision shape: a 'box' (x, y, z) or a 'cylinder' (radius, length on z) [m]."""
+    """Append a shape to a link, as visual and if `solid` as collision: 'box' (x, y, z) or 'cylinder' (radius, length) [m]."""
     if min(size) <= 0.0:
-        return  # A prismatic joint without a stroke has no tube to draw.
+        return  # The tube of a prismatic joint without a stroke has the length 0 and is not drawn.
     ET.SubElement(_add_part(link, "visual", shape, size, T), "material", name=colour)
     if solid:
         _add_part(link, "collision", shape, size, T)
@@ -77,9 +77,9 @@ def _add_part(link: ET.Element, tag: str, shape: str, size: Sequence[float], T: 
 
 
 def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a bar from a to b [m]: round along z, otherwise a flat-sided boom.
+    """Add the shapes of a bar from point a to point b (3,) [m] to a link: a cylinder if it is along z, else a box.
 
-    Its collision shape ends before the joint drums.
+    Its collision shape is shorter, so that it does not touch the joints at its ends.
     """
     length = float(np.linalg.norm(b - a))
     T = _along(a, b)
@@ -125,7 +125,7 @@ def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- text
 def origin(parent: ET.Element, T: np.ndarray) -> None:
-    """Append an <origin> for the pose T (4, 4) [m]."""
+    """Append an <origin> with the pose T (4, 4) [m] to an element."""
     ET.SubElement(parent, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(matrix_rpy(T[:3, :3])))
 
 

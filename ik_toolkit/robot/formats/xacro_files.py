@@ -31,7 +31,7 @@ class Files:
         self.bytes = 0
 
     def read(self, path: str, most: int) -> bytes:
-        """Return the bytes of a file.
+        """Return the bytes of a file with at most `most` of them.
 
         Raises Refused if it is not allowed or too large, FileNotFoundError if it is allowed but does not exist.
         """
@@ -59,7 +59,7 @@ class Files:
         return minidom.parseString(text)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Return the values of a YAML file; `number` evaluates an expression, used for values with a unit. Raises Refused."""
+        """Return the contents of a YAML file; `number` evaluates a value with a unit, such as !degrees 90. Raises Refused."""
         import yaml
 
         raw = self.read(path, CAPS.yaml_bytes)

@@ -11,7 +11,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-STEPS = 150_000  # Limit on the steps of a whole file. The largest xacro robot of rtb-data takes 3,000.
+STEPS = 150_000  # Limit on the evaluation steps of a whole file. The largest xacro robot of the package rtb-data takes 3,000.
 LONGEST = 20_000  # Limit on the characters of a text with expressions.
 LARGEST = 100_000  # Limit on the characters and members of a value; shared ones count as often as they appear.
 BITS = 4096  # Limit on the bits of a whole number.
@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# names, used in messages, of parts of an expression that are refused
+# by type of syntax tree node that is refused: its name in messages
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -67,13 +67,13 @@ class Evaluator:
         self.left = STEPS
 
     def spend(self, steps: int = 1) -> None:
-        """Count some steps. Raises Refused after too many."""
+        """Add steps to the count of the whole file. Raises Refused if they are too many."""
         self.left -= steps
         if self.left < 0:
             raise Refused(f"it takes more than {STEPS:,} steps to expand")
 
     def evaluate(self, text: str, names: Mapping[str, Any]) -> Any:
-        """Evaluate an expression with the values that it may use. Raises Refused, which names the expression."""
+        """Return the value of an expression, given the values of names that it may use. Raises Refused, which quotes it."""
         try:
             if len(text) > LONGEST:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")

@@ -26,9 +26,9 @@ from ik_toolkit.robot.formats.xacro_library import library
 from ik_toolkit.robot.formats.xacro_values import LARGEST, LONGEST, Evaluator, Function, Refused
 from ik_toolkit.robot.packages import find_package
 
-FILES = 1_000  # Limit on the files that one include may match.
-# Matches the parameters of a macro, as xacro's own regular expression does, but without nested repetition, which can take
-# exponential time.
+FILES = 1_000  # An <xacro:include> with wildcards reads at most this many files.
+# It matches the parameters of a macro as the expression in xacro does, but without nested repetition, which can take exponential
+# time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
@@ -183,7 +183,7 @@ class Expansion:
         return made
 
     def eval_eval(self, text: str, context: dict) -> str:
-        """Evaluate $(eval ...), an expression that may use arguments as names."""
+        """Return, as text, the value of $(eval ...), an expression in which arguments of the file are names."""
         arguments = self.arguments
 
         class Names(dict):
@@ -301,7 +301,7 @@ def run_job(job: dict) -> dict:
 
 
 def told(cause: BaseException, stack: list[str]) -> str:
-    """Say in one sentence which error ended the expansion, and in which expression."""
+    """Return one sentence on the error that ended the expansion, and where: `stack` has the names of the open files."""
     said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
     where = f"'{stack[-1]}'" if stack else ""
     macros = sys.modules["xacro"].macrostack

@@ -26,9 +26,8 @@ from ...kernel.clearance import (
 from ..probe import mimics
 from .convex import hull_of
 
-BUILDING = (
-    threading.Lock()
-)  # held while coal computes a hull, because it stores the hull in the mesh, which other threads may use
+# held while coal computes a hull, because it stores the hull in the mesh, which other threads may use
+BUILDING = threading.Lock()
 # The nearest points of two shapes may jump, for example from one end of an edge to the other. So up to CORNERS pairs of points that
 # were nearest before are kept for each pair of shapes, while their distance is at most NEARBY [m] above the least one. Points
 # within APART [m] of each other count as one.
