@@ -13,13 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, floats, near_match
+from .formats.urdf import ENDLESS
 from .pose import check_target
 from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 # The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)
 BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
-ENDLESS = 1e16  # A limit of this size means "no limit".
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,

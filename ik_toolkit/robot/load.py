@@ -1,7 +1,7 @@
 """Reads anything a user may name as a robot into its URDF text and Pinocchio model."""
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +11,10 @@ import pinocchio as pin
 from ..errors import InvalidOption, ModelError, RobotNotFound
 from ..text import figure
 from .base import carried
-from .constraints import Constraint
-from .formats.mjcf import mjcf_to_urdf
-from .formats.srdf import Srdf, srdf_of
-from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read, source_text
+from .formats.description import Urdf
+from .formats.mjcf import read_mjcf
+from .formats.srdf import srdf_of
+from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
 from .formats.xacro import expand, expanded, has_macros
@@ -24,22 +24,48 @@ from .tips import guess_tip
 LOG = logging.getLogger("ik_toolkit")
 
 
-class Urdf(NamedTuple):
-    """A robot description converted to URDF.
+class Format(NamedTuple):
+    """A description format: what messages call it, and how it is read.
 
-    `text` is the URDF; relative paths in it start from the folder of `file`, and ROS packages are searched in `package_dirs`. What
-    an MJCF file says beyond URDF is in `notes` (sentences on what was left out), `srdf` (configurations and pairs of links that
-    may touch) and `constraints`. `made` tells that the text was made from another format, so that its line numbers are not those
-    of the file.
+    `read` takes the path (or the XML text), the folders of ROS packages and the values of xacro arguments. `xml` tells that the
+    format is recognised by the contents of a file rather than by its suffix, `xacro_args` that it has such arguments.
     """
 
-    text: str
-    file: Path | None
-    package_dirs: list[Path]
-    notes: tuple[str, ...] = ()
-    srdf: Srdf = Srdf()
-    constraints: tuple[Constraint, ...] = ()
-    made: bool = False
+    name: str
+    read: Callable[[str | Path, Sequence[Path], Mapping[str, Any]], Urdf]
+    xml: bool = False
+    xacro_args: bool = False
+
+
+def _read_urdf(source: str | Path, *_: Any) -> Urdf:
+    return Urdf(safe_read(source), made=False)
+
+
+def _read_xacro(source: str | Path, folders: Sequence[Path], arguments: Mapping[str, Any]) -> Urdf:
+    """Expand a xacro file; text with macros, which may need other files, is refused by `safe_read`."""
+    return Urdf(expand(source, folders, arguments) if isinstance(source, Path) else safe_read(source))
+
+
+FORMATS = {
+    ".urdf": Format("a plain URDF", _read_urdf, xml=True),
+    ".xacro": Format("xacro", _read_xacro, xml=True, xacro_args=True),
+    ".mjcf": Format("MJCF", read_mjcf, xml=True),
+}
+
+
+def _format_of(entry: RobotEntry) -> Format:
+    """Return the format of a description, by its suffix, or for XML by its contents. Raises ModelError."""
+    suffix = entry.path.suffix if entry.path else ""
+    if suffix in FORMATS and not FORMATS[suffix].xml:
+        return FORMATS[suffix]
+    try:
+        text = safe_read(entry.source)
+    except HasMacros:
+        return FORMATS[".xacro"]
+    except IsMjcf:
+        return FORMATS[".mjcf"]
+    # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
+    return FORMATS[".xacro" if suffix == ".xacro" and "<xacro:" in text else ".urdf"]
 
 
 def urdf_of(
@@ -48,31 +74,16 @@ def urdf_of(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> Urdf:
-    """Read the description of a library entry (URDF, xacro or MJCF) as URDF. Raises what `Robot.load` raises.
+    """Read the description of a library entry, of any format in FORMATS, as URDF. Raises what `Robot.load` raises.
 
-    elsewhere: whether another file (the SRDF) uses the xacro arguments too, so that they are no error for a plain URDF.
+    elsewhere: whether another file (the SRDF) uses the xacro arguments too, so that a format without them does not refuse them.
     """
-    folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
-    try:
-        text = safe_read(entry.source)
-        if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
-            # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
-            raise HasMacros("it calls macros")
-        if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is a plain URDF")
-    except HasMacros:
-        if entry.path is None:
-            raise
-        text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
-        return Urdf(text, entry.path, folders, made=True)
-    except IsMjcf:
-        if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is MJCF") from None
-        flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(
-            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.srdf, flat.constraints, made=True
-        )
-    return Urdf(text, entry.path, folders)
+    folders = tuple(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
+    form = _format_of(entry)
+    if xacro_args and not (elsewhere or form.xacro_args):
+        raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is {form.name}")
+    read = form.read(entry.source, folders, {**entry.xacro_args, **(xacro_args or {})})
+    return read._replace(text=safe_read(read.text), package_dirs=folders)
 
 
 def read_source(
@@ -86,14 +97,14 @@ def read_source(
     Raises what `Robot.load` raises.
     """
     entry = find(source)
-    text, file, folders, notes, own, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
-    notes = (*notes, *require_loadable(text, lines=not written))
-    model = built_model(text, entry.name)
-    name = entry.name if file else model.name
+    read = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    notes = (*read.notes, *require_loadable(read.text, lines=not read.made))
+    model = built_model(read.text, entry.name)
+    name = entry.name if entry.path else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
-    made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "own": own, "constraints": constraints}
+    made = {"model": model, "name": name, "urdf": read.text, "path": entry.path, "package_dirs": read.package_dirs}
+    return entry, made | {"notes": notes, "own": read.srdf, "constraints": read.constraints}
 
 
 def built_model(text: str, name: str = "the URDF") -> pin.Model:

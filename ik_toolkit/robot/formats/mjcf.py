@@ -12,52 +12,40 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...errors import MissingExtra, ModelError
 from ..base import BALL_PITCH, BASES, ROOT, TURNS
-from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
 from ..rotation import matrix_rpy, quat_matrix
+from .description import Urdf
 from .mjcf_constraints import Ties, read_ties
 from .mjcf_text import Flat, flatten
 from .sandbox import ask
 from .srdf import Srdf
-from .urdf import attribute_numbers
+from .urdf import ENDLESS, attribute_numbers, source_text
 from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # Memory cap [bytes] of the process that runs MuJoCo. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
 SECONDS = 4  # Cap on the processor time [s] of that process. A large robot takes 1 s.
-ENDLESS = 1e16  # An effort or velocity limit of this size means "no limit".
 HIDDEN = 3  # Shapes of MJCF group 3 and above are not drawn, as in the viewer of MuJoCo.
 # A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
-class Read(NamedTuple):
-    """An MJCF model written as URDF.
-
-    `srdf` has the keyframes, as named configurations, and the pairs of links that may touch. `notes` are sentences on what a URDF
-    cannot hold, except for the loops and the relations between joints, which are in `constraints`.
-    """
-
-    urdf: str
-    srdf: Srdf
-    notes: list[str]
-    constraints: tuple[Constraint, ...] = ()
-
-
-def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
-    """Convert an MJCF text to URDF with the constraints and named configurations beside it; `path` is its file, or None.
+def read_mjcf(source: str | Path, package_dirs: Iterable[str | Path] = (), *_: Any) -> Urdf:
+    """Convert an MJCF file (a path) or text to URDF, with the constraints and named configurations beside it.
 
     Raises MissingExtra if mujoco is not installed, ModelError if the text cannot be read.
     """
+    text = source_text(source, "MJCF")
     if importlib.util.find_spec("mujoco") is None:
         raise MissingExtra("mujoco", "formats")
+    path = source if isinstance(source, Path) else None
     name = path.name if path else "MJCF text"
     flat = flatten(text, path, mesh_folders(path, package_dirs))
     model = _compile(flat.xml, name)
@@ -123,7 +111,7 @@ class _Writer:
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
-    def read(self) -> Read:
+    def read(self) -> Urdf:
         """Convert the whole compiled model, and return the URDF with all that a URDF cannot hold."""
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
@@ -142,7 +130,8 @@ class _Writer:
         if self.left_out:
             self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
         pairs = {(bodies[i], bodies[j]): "exclude" for i, j in model["excludes"]}
-        return Read(to_text(self.robot), Srdf(states=self._states(), disabled=pairs), self.notes, ties.constraints)
+        srdf = Srdf(states=self._states(), disabled=pairs)
+        return Urdf(to_text(self.robot), tuple(self.notes), srdf, ties.constraints)
 
     def _states(self) -> dict[str, dict[str, dict[str, tuple[float, ...]]]]:
         """Return the configurations of the keyframes; one whose qpos has a value that is not finite is left out, with a note."""

@@ -35,7 +35,7 @@ class UrdfCaps(NamedTuple):
 
 CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # characters that may precede the first < of XML: blanks and the byte order mark
-ENDLESS = 1e16  # A joint limit of this size means "no limit".
+ENDLESS = 1e16  # A limit of position, velocity or effort of this size means "no limit".
 # by joint type: its number of degrees of freedom
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 SIZES = {  # by shape: its attributes with sizes, and how many numbers each of them holds
