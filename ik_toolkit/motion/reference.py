@@ -234,8 +234,6 @@ def exp(w: np.ndarray) -> np.ndarray:
 
 def log(R: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,) [rad] of a rotation matrix (3, 3)."""
-    import pinocchio as pin
-
     return pin.log3(np.asarray(R))
 
 

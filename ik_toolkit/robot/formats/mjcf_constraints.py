@@ -15,8 +15,7 @@ from ..constraints import Constraint, End, LinearLength, Loop, Relation
 from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
-SCALAR = ("hinge", "slide")
-JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # the kinds of parts of a tendon in MuJoCo
+JOINT, PULLEY, SITE = 1, 2, 3  # the kinds of parts of a tendon in MuJoCo; others are shapes around which it runs
 
 
 class Ties(NamedTuple):

@@ -18,7 +18,7 @@ from ...text import first_few
 from ..probe import find_path
 from .finding import did_you_mean
 from .srdf_text import EndEffector, Group, contents
-from .urdf import source_text
+from .urdf import is_text, source_text
 from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
@@ -65,15 +65,11 @@ class Srdf:
         }
         if self.group in given:
             given = {self.group: given[self.group]}
-        if len(given) > 1:
-            order = sorted(
-                given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]}))
-            )
-            given = {group: given[group] for group in order}
+        order = sorted(given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]})))
         found: dict[str, float] = {}
-        for values in given.values():
-            if not found.keys() & values.keys():
-                found |= values
+        for group in order:
+            if not found.keys() & given[group].keys():
+                found |= given[group]
         return {joint: x for joint, x in found.items() if joint in joints}
 
     def _fits(self, group: str, tips: Sequence[str], model: pin.Model) -> bool:
@@ -190,9 +186,8 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
     given: str | Path = expanded(source)
-    text = source_text(given, "SRDF")
-    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
-    return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
+    path = None if is_text(given) else Path(given).expanduser().absolute()
+    return Srdf(path=path, **contents(source_text(given, "SRDF")))
 
 
 def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: str | None = None) -> Srdf:
