@@ -104,7 +104,7 @@ def near_joint(joint: Any, model: pin.Model, names: Iterable[str]) -> str:
 
 def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
     """Return the URDF limits (lower, upper) [rad or m] of each mimic joint that follows a joint of q; infinite if not given."""
-    own = mimic_limits(robot.urdf) if robot.urdf and robot.mimic_joints else {}
+    own = mimic_limits(robot.urdf)
     ends = {joint: own[joint][3:] if joint in own else (-math.inf, math.inf) for joint in robot.mimic_joints}
     return {
         joint: (low if low > -NO_LIMIT else -math.inf, high if high < NO_LIMIT else math.inf)

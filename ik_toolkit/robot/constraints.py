@@ -151,7 +151,7 @@ class Closure:
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
         path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
-            lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
+            lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf))
         except ModelError:  # No position is inside all limits, so these joints cannot move to close a loop.
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return CoupledConstraints(constraints, joints, lower, upper)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
@@ -30,13 +30,10 @@ from .joints import Joints
 from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
-from .tips import one_word, only_tip, root_link
+from .tips import frame_id, one_word, only_tip, root_link
 
 # attributes with caches, which a copy must not share
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
-# the types of Pinocchio frame that may be a base or a tip: links, and joints
-LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
-FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
 
 class Robot(Joints):
@@ -91,18 +88,18 @@ class Robot(Joints):
         self.name = name or model.name
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
-        self.base = root if base is None else self._frame(base)
-        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
+        self.base = root if base is None else base
+        base_id = frame_id(self.model, self.base, self.name)
+        self.tip = tip if tip is not None else only_tip(model, self.name)
+        self._ids = base_id, frame_id(self.model, self.tip, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self._ranges: Mapping[str, tuple[float, float]] = {}  # (lower, upper) by joint, of a copy made by `narrowed`
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
-        for joint, value in (followers(urdf).rest if urdf else {}).items():
+        for joint, value in followers(urdf).rest.items():
             self._set_rest(joint, value, False)
-        held = passive_joints(
-            self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
-        )
+        held = passive_joints(self.srdf, self.model, *self._ids, values_by_joint(locked))
         for joint, (value, counts) in held.items():
             self._set_rest(joint, value, counts)
         self._build(home)
@@ -179,22 +176,6 @@ class Robot(Joints):
         require_text_or_file(source)
         return cls.load(source, **options)
 
-    def _frame(self, name: str) -> str:
-        if not isinstance(name, str):
-            several = "; for several tips use ik.Tree.load(source, tips=[...])" * isinstance(name, list | tuple)
-            raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
-        self._frame_id(name)
-        return name
-
-    def _frame_id(self, name: str) -> int:
-        """Return the index of a link, or of a joint's frame, which is that of the link it moves. Raises FrameNotFound."""
-        frames = enumerate(self.model.frames)
-        found = [(f.type not in LINKS, i) for i, f in frames if f.name == name and f.type in FRAMES]
-        if not found:
-            bodies = [f.name for f in self.model.frames if f.type in LINKS]
-            raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
-        return min(found)[1]
-
     def _set_rest(self, joint: str, value: float, counts: bool = True) -> None:
         joints = self.model.joints
         names = [n for j, n in enumerate(self.model.names) if j and joints[j].nq in (1, 2) and joints[j].nv == 1]
@@ -220,11 +201,11 @@ class Robot(Joints):
         self.memo: dict[Any, Any] = {}
         self._wide = None
         model = self.model
-        base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
+        base_id, tip_id = self._ids
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         others = [model.getJointId(joint) for joint in self._others]
         self._path = path = find_path(model, base_id, tip_id, locked, others)
-        loose = followers(self.urdf).loose if self.urdf else {}
+        loose = followers(self.urdf).loose
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
                 raise ModelError(
@@ -232,8 +213,8 @@ class Robot(Joints):
                 )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
-        lower, upper, notes = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        self.velocity_limits, slower = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
+        lower, upper, notes = limits(model, path, mimic_limits(self.urdf))
+        self.velocity_limits, slower = speed_limits(model, path, mimic_speeds(self.urdf))
         self._note([*notes, *slower])
         ends = dict(zip(self.joint_names, upper.tolist(), strict=True))
         free = [joint for joint in self._slides if math.isinf(ends.get(joint, 0.0))]
@@ -244,7 +225,6 @@ class Robot(Joints):
         self.lower, self.upper = lower, upper
         based = np.array([joint in self._of_base for joint in self.joint_names])
         self.home = start = mid_range(lower, upper, ~based)
-        self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()

@@ -3,11 +3,11 @@
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidOption, ModelError
+from ..errors import FrameNotFound, InvalidOption, ModelError, near_match
 from .base import ROAMS
 
 LOG = logging.getLogger("ik_toolkit")
@@ -29,6 +29,9 @@ OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover shape dummy".split()
 )
+# the types of Pinocchio frame that may be a base or a tip: links, and joints
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
+FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 SHOWN = 3  # A message lists at most this many candidates for the tip.
 
 
@@ -143,6 +146,21 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
     joints = {f.parentJoint for f in frames}
     first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
     return tuple({f.parentJoint: f.name for f in first}.values())
+
+
+def frame_id(model: pin.Model, name: Any, robot: str) -> int:
+    """Return the index of the frame of a link, or of a joint, which moves with its link; `robot` is a name for messages.
+
+    Raises InvalidOption if `name` is no text, FrameNotFound if there is no such link or joint.
+    """
+    if not isinstance(name, str):
+        several = "; for several tips use ik.Tree.load(source, tips=[...])" * isinstance(name, list | tuple)
+        raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
+    found = [(f.type not in LINKS, i) for i, f in enumerate(model.frames) if f.name == name and f.type in FRAMES]
+    if not found:
+        bodies = [f.name for f in model.frames if f.type in LINKS]
+        raise FrameNotFound(f"robot '{robot}' has no frame '{name}'.{near_match(name, bodies)}")
+    return min(found)[1]
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:

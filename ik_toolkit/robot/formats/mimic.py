@@ -39,9 +39,9 @@ class Followers(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def followers(text: str) -> Followers:
-    """Return the mimic joints of a URDF text, with their leaders, and an order of all joints in which leaders come first."""
-    items = parse(text)
+def followers(text: str | None) -> Followers:
+    """Return the mimic joints of a URDF text (None: no joints), and an order of all joints in which their leaders come first."""
+    items = parse(text) if text else []
     tied, loose = ties(items)
     if not tied:
         return Followers(tied, loose, [], {})
@@ -59,7 +59,7 @@ def followers(text: str) -> Followers:
     return Followers(tied, loose | late, order if order != own else [], rest)
 
 
-def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
+def mimic_limits(text: str | None) -> dict[str, tuple[str, float, float, float, float]]:
     """Return for each mimic joint of a URDF text (leader, multiplier, offset, lower, upper) [rad or m].
 
     Its value is q = multiplier q_leader + offset. The limits are those of the mimic joint itself, which Pinocchio drops; +-1e16
@@ -67,21 +67,21 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     """
     tied = followers(text).tied
     found = {}
-    for item in parse(text):
+    for item in parse(text) if text and tied else ():
         if item.tag == "joint" and item.name in tied:
             leader, ratio, offset = tied[item.name]
             found[item.name] = leader, ratio, offset, *limits_of_joint(item)
     return found
 
 
-def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
+def mimic_speeds(text: str | None) -> dict[str, tuple[float, float]]:
     """Return for each mimic joint of a URDF text with a velocity limit of its own (multiplier, limit [rad/s or m/s]).
 
     A limit of 0 counts as none, because no author means a mimic joint that may not move.
     """
     tied = followers(text).tied
     found = {}
-    for item in parse(text):
+    for item in parse(text) if text and tied else ():
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
         speed = finite_at(limit, "velocity")
         if speed and speed[0] > 0.0 and tied[item.name].ratio != 0.0:
