@@ -91,7 +91,7 @@ class Robot(Joints):
         self.base = root if base is None else base
         base_id = frame_id(self.model, self.base, self.name)
         self.tip = tip if tip is not None else only_tip(model, self.name)
-        self._ids = base_id, frame_id(self.model, self.tip, self.name)
+        tip_id = frame_id(self.model, self.tip, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
@@ -99,7 +99,7 @@ class Robot(Joints):
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in followers(urdf).rest.items():
             self._set_rest(joint, value, False)
-        held = passive_joints(self.srdf, self.model, *self._ids, values_by_joint(locked))
+        held = passive_joints(self.srdf, self.model, base_id, tip_id, values_by_joint(locked))
         for joint, (value, counts) in held.items():
             self._set_rest(joint, value, counts)
         self._build(home)
@@ -201,7 +201,8 @@ class Robot(Joints):
         self.memo: dict[Any, Any] = {}
         self._wide = None
         model = self.model
-        base_id, tip_id = self._ids
+        base_id, tip_id = (frame_id(model, name, self.name) for name in (self.base, self.tip))
+        self._ids = base_id, tip_id
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         others = [model.getJointId(joint) for joint in self._others]
         self._path = path = find_path(model, base_id, tip_id, locked, others)
