@@ -37,24 +37,16 @@ class Whole:
         return value
 
 
-class RecordModel(Whole, TupleModel):
-    """The LLVM data model of a NamedTuple with fields of several types."""
-
-
-class EvenRecordModel(Whole, UniTupleModel):
-    """The LLVM data model of a NamedTuple whose fields are all of one type."""
-
-
-def record_model(own: type, general: type) -> Any:
-    """Return the function that makes the data model of a NamedTuple: an `own` if its class is of this package, else a `general`."""
-    package = __name__.partition(".")[0]
+def record_model(general: type) -> Any:
+    """Return the function that makes the LLVM data model of a NamedTuple: a `general`, and for classes of this package a Whole."""
+    package, own = __name__.partition(".")[0], type("RecordModel", (Whole, general), {})
     return lambda manager, kind: (
         own if kind.instance_class.__module__.partition(".")[0] == package else general
     )(manager, kind)  # fmt: skip
 
 
-default_manager.register(types.NamedTuple, record_model(RecordModel, TupleModel))
-default_manager.register(types.NamedUniTuple, record_model(EvenRecordModel, UniTupleModel))
+default_manager.register(types.NamedTuple, record_model(TupleModel))
+default_manager.register(types.NamedUniTuple, record_model(UniTupleModel))
 
 
 class PartConvention(CPUCallConv):
