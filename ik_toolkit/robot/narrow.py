@@ -38,9 +38,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
 def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
     """Return the robot with limits lower, upper (n,): itself if they are its own, a cached variant, or a new one."""
     _check(robot, lower, upper)
-    if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
-        return robot
-    for one in list(kept.values()):
+    for one in (robot, *kept.values()):
         if np.array_equal(lower, one.lower) and np.array_equal(upper, one.upper):
             return one
     made = robot._narrowed(dict(zip(robot.joint_names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True)))

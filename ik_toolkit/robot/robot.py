@@ -18,7 +18,7 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
 from .base import on_own_base, put_joint
-from .configuration import near_joint, values_by_joint
+from .configuration import near_joint, simple_joints, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
@@ -177,17 +177,16 @@ class Robot(Joints):
         return cls.load(source, **options)
 
     def _set_rest(self, joint: str, value: float, counts: bool = True) -> None:
-        joints = self.model.joints
-        names = [n for j, n in enumerate(self.model.names) if j and joints[j].nq in (1, 2) and joints[j].nv == 1]
-        if joint not in names:
+        joints = dict(simple_joints(self.model))
+        if joint not in joints:
             raise JointNotFound(
-                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_joint(joint, self.model, names)}"
+                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_joint(joint, self.model, joints)}"
             )
         what = f"the value of locked joint '{joint}' must be a finite number"
         number = floats(value, what, InvalidConfiguration)
         if number.shape != () or not np.isfinite(number):
             raise InvalidConfiguration(f"{what}, not {number.tolist()}")
-        put_joint(self.model.joints[self.model.getJointId(joint)], self.rest, float(number))
+        put_joint(joints[joint], self.rest, float(number))
         if counts:
             self.locked_joints[joint] = float(number)
 

@@ -21,7 +21,7 @@ from ..base import BALL_PITCH, BASES, ROOT, TURNS
 from ..geometry.meshes import mesh_folders
 from ..rotation import matrix_rpy, quat_matrix
 from .description import Urdf
-from .mjcf_constraints import Ties, read_ties
+from .mjcf_constraints import TieReader, Ties
 from .mjcf_text import Flat, flatten
 from .sandbox import ask
 from .srdf import Srdf
@@ -118,7 +118,7 @@ class _Writer:
         self._shapes(bodies)
         joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
         self._doubtful(joints)
-        ties = read_ties(model, joints, bodies)
+        ties = TieReader(model, joints, bodies).read()
         self.notes += ties.notes
         for i, body in enumerate(model["bodies"][1:], 1):
             own = [j for j, joint in enumerate(model["joints"]) if joint["body"] == i]

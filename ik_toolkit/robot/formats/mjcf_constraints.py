@@ -33,13 +33,8 @@ class Ties(NamedTuple):
     notes: list[str]
 
 
-def read_ties(model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> Ties:
-    """Convert the equalities and tendons of a model that MuJoCo compiled; `joints` and `bodies` are the names, in its order."""
-    return _Reader(model, joints, bodies).read()
-
-
-class _Reader:
-    """Reads the equalities and tendons of one model."""
+class TieReader:
+    """Converts the equalities and tendons of a model that MuJoCo compiled; `joints` and `bodies` are the names, in its order."""
 
     def __init__(self, model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> None:
         self.model, self.joints, self.bodies = model, joints, bodies

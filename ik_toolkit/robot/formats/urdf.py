@@ -191,12 +191,11 @@ def parse(text: str) -> list[Item]:
             if joints > CAPS.joints:
                 raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
-        elif above[1] in ITEMS:
+        # A parent of a joint outside the robot's own elements is kept, because it shows a joint in a wrong place.
+        elif above[1] in ITEMS or (tag == "parent" and above[-1] == "joint" and "link" in attributes):
             items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
-        elif tag == "parent" and above[-1] == "joint" and "link" in attributes:  # a joint of URDF in a wrong place
-            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
 
     walk(text, "URDF", start)
     freedoms = [(FREEDOM.get(item.attributes.get("type", ""), 0), item) for item in items if item.tag == "joint"]

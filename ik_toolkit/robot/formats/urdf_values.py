@@ -172,12 +172,12 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         advice = "write them; other readers of URDF take 0 to 0, or refuse the file"
         yield odd(joint, f"{told}: it moves as far as its leader does", advice, parts[0].line if parts else joint.line)
     if not parts:
-        if kind == "revolute" and not led:
-            yield error_finding(
-                joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line
-            )
-        elif kind == "prismatic" and not led:
-            yield error_finding(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
+        advice = {
+            "revolute": "add lower and upper [rad], or make it continuous",
+            "prismatic": "add lower and upper [m]",
+        }
+        if kind in advice and not led:
+            yield error_finding(joint, "it has no <limit>", advice[kind], joint.line)
         return
     limit, line = parts[0].attributes, parts[0].line
     for key in ("effort", "velocity"):
