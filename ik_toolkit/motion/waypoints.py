@@ -62,7 +62,7 @@ def waypoints(
             raise InvalidTarget(f"waypoints {int(np.argmin(share))} and {int(np.argmin(share)) + 1} are the same")
         t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * positive(duration, "duration [s]")
     else:
-        t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P), "times")
+        t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P))
     if one_of(law, ("minimum-jerk", "spline"), "waypoint law") == "spline":
         return _spline(t, P, R, "clamped", "waypoints")
     return Reference(partial(_legs, t, P, R, turns), float(t[-1]), position_only=R is None, name="waypoints")
@@ -90,15 +90,15 @@ def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray,
     return T, V, A
 
 
-def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
+def _check_times(t: np.ndarray, count: int) -> np.ndarray:
     """Return times t (count,) [s] shifted to begin at 0; raise InvalidTarget unless they are finite and increase."""
     if t.shape != (count,):
-        raise InvalidTarget(f"{name} must be {count} numbers, one per pose, not an array of shape {t.shape}")
+        raise InvalidTarget(f"times must be {count} numbers, one per pose, not an array of shape {t.shape}")
     if not np.isfinite(t).all():
-        raise InvalidTarget(f"{name} has a value that is not finite (number {int(np.argmin(np.isfinite(t))) + 1})")
+        raise InvalidTarget(f"times has a value that is not finite (number {int(np.argmin(np.isfinite(t))) + 1})")
     if not (np.diff(t) > 0.0).all():
         i = int(np.argmin(np.diff(t)))
-        raise InvalidTarget(f"{name} must increase: number {i + 2} is {t[i + 1]:g} after {t[i]:g}")
+        raise InvalidTarget(f"times must increase: number {i + 2} is {t[i + 1]:g} after {t[i]:g}")
     return t - t[0]
 
 

@@ -86,7 +86,7 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
 
 
 def axis_of(joint: Item) -> list[float]:
-    """Return the <axis> of a joint as text: the x axis if it has none, as in URDF.
+    """Return the three numbers of the <axis> of a joint: the x axis if it has none, as in URDF.
 
     An axis so long that its square overflows is shortened.
     """
