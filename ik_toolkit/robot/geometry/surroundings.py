@@ -176,25 +176,19 @@ class Surroundings(ReadOnly):
                 raise InvalidOption(
                     f"touch= names '{other}', which is not a known part.{near_match(other, dict.fromkeys(self._names))}"
                 )
+        given = None if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.robot.reach)
         if isinstance(shape, str):
             one = self._placed[self._known(shape)]
             if one.arm is not None:
                 raise InvalidOption(f"'{shape}' is already attached")
-            if T_tip_shape is None and q is None:
+            if given is None and q is None:
                 raise InvalidOption(
                     f"to attach '{shape}' where it is, give the q at which the robot grasps it, or T_tip_shape"
                 )
-            T = (
-                self._tip(arm, q).inverse().homogeneous @ one.T
-                if T_tip_shape is None
-                else as_matrix(T_tip_shape, "shape", self.robot.reach)
-            )
+            T = self._tip(arm, q).inverse().homogeneous @ one.T if given is None else given
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
-            form, T = (
-                is_shape(shape).form(),
-                np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.robot.reach),
-            )
+            form, T = is_shape(shape).form(), np.eye(4) if given is None else given
             self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self
