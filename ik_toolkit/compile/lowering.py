@@ -39,7 +39,8 @@ class Whole:
 
 def record_model(general: type) -> Any:
     """Return the function that makes the LLVM data model of a NamedTuple: a `general`, and for classes of this package a Whole."""
-    package, own = __name__.partition(".")[0], type("RecordModel", (Whole, general), {})
+    package = __name__.partition(".")[0]
+    own: Any = type("RecordModel", (Whole, general), {})
     return lambda manager, kind: (
         own if kind.instance_class.__module__.partition(".")[0] == package else general
     )(manager, kind)  # fmt: skip
