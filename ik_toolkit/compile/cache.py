@@ -70,7 +70,7 @@ class DiskCache(FunctionCache):
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the machine code for argument types `sig` from disk; return None, so that numba compiles, without an intact file.
+        """Load the machine code for argument types `sig` from disk; if no intact file exists, return None, so that numba compiles.
 
         The method in numba also calls `target_context.refresh`, which takes 0.3 s and is needed only to compile; the compiler
         calls it by itself.

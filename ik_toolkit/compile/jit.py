@@ -22,7 +22,7 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import made, make_cache
 
-# With these releases of numba pipeline.py, which uses private interfaces, was tested (by scripts/try_numba.py).
+# pipeline.py, which uses private interfaces of numba, was tested with these releases (by scripts/try_numba.py).
 # With any other release the standard compiler of numba is used, which is slower.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED

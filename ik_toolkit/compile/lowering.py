@@ -38,7 +38,7 @@ class Whole:
 
 
 def record_model(general: type) -> Any:
-    """Return the function that makes the LLVM data model of a NamedTuple: a `general`, and for classes of this package a Whole."""
+    """Return a function that makes the LLVM data model of a NamedTuple: `general`, with `Whole` for classes of this package."""
     package = __name__.partition(".")[0]
     own: Any = type("RecordModel", (Whole, general), {})
     return lambda manager, kind: (

@@ -197,7 +197,7 @@ class Joints(ReadOnly):
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            # Large values are doubted to be radians, except inside the limits.
+            # A large angle is probably in degrees, unless the limits allow it.
             values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
             far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
             if far:

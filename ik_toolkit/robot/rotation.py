@@ -41,7 +41,7 @@ def finite_numbers(value: Any, size: int, name: str) -> np.ndarray:
 
 
 def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the angle (N,) [rad] of the rotation from each of A (N, 3, 3) to the same of B (N, 3, 3)."""
+    """Return the angles (N,) [rad] of the rotations that turn the matrices A (N, 3, 3) into the matrices B (N, 3, 3)."""
     chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
     return 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
@@ -113,7 +113,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
 
 
 def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Return the rotation (3, 3) of a quaternion (4,) with its numbers in this order; its length need not be 1."""
+    """Return the rotation (3, 3) of a quaternion (4,) with its numbers in the order `order`; its length need not be 1."""
     q = finite_numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:

@@ -49,7 +49,7 @@ def followers(text: str | None) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        # In every order some mimic joints precede their leader, so it exchanges roles with one of them: first only in the
+        # In every order some mimic joints precede their leader, so the leader exchanges roles with one of them: first only in the
         # groups of these mimic joints, then, if that is not enough, in all groups.
         if late:
             tied = first_leads(given, turned, own)
@@ -105,7 +105,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                # From `leader` on, the joints of the walk mimic themselves; those before mimic the first of them.
+                # The joints from `leader` on mimic themselves in a circle; those before it in `walk` only lead to the circle.
                 loop = walk[walk.index(leader) :]
                 del walk[walk.index(leader) + 1 :]
                 loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}

@@ -154,7 +154,7 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
         found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
-        # The last two are of older files; MuJoCo refuses them today.
+        # The last two of these attributes occur in older files; today MuJoCo refuses them.
         for attribute in ("meshdir", "texturedir", "assetdir", "strippath", "exactmeshinertia", "convexhull"):
             compiler.attrib.pop(attribute, None)
     return found

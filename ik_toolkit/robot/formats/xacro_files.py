@@ -31,7 +31,7 @@ class Files:
         self.bytes = 0
 
     def read(self, path: str, most: int) -> bytes:
-        """Return the bytes of a file with at most `most` of them.
+        """Return the contents of a file of at most `most` bytes.
 
         Raises Refused if it is not allowed or too large, FileNotFoundError if it is allowed but does not exist.
         """

@@ -261,7 +261,7 @@ class Clearance:
         known = self._corners[ks]
         before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
-        # Points that agree on one of the two shapes count as one: a corner that slides along a face meets ever other points of it.
+        # Pairs of points with the same point on one shape count as one, as for a corner that slides along a face of the other.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
         # The stored points are of convex hulls, so they are not used for pairs whose exact shapes were measured.
         hull = ~self._on_surface[ks][:, None]
