@@ -181,7 +181,7 @@ def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[lis
         read = urdf_of(entry, **options)
     except ModelError as error:
         return [error_finding("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)], [], False
-    findings = check_urdf(read.text, read.package_dirs, file=read.file)
+    findings = check_urdf(read.text, read.package_dirs, file=entry.path)
     known = {*notes(findings, not read.made), *read.notes}
     findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     if findings and findings[0].severity == "error":

@@ -8,7 +8,7 @@ are rows. Without compilation a view is the array itself.
 
 # pyright: reportOptionalCall=false
 
-# Pyright reports calls of intrinsics, because numba itself passes their first argument.
+# Pyright reports every call of an @intrinsic function, because numba itself passes the first argument.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -27,12 +27,12 @@ from numba.np.arrayobj import populate_array
 
 from .jit import BUILD, INLINE, inline
 
-LINE = 8  # number of float64 in a cache line and in the widest SIMD register; arrays begin at multiples of it
-WORD = ir.IntType(64)  # LLVM's type of lengths and indices
+LINE = 8  # A cache line and the widest SIMD register hold this many float64, so arrays in scratch memory begin at multiples of it.
+WORD = ir.IntType(64)  # the LLVM type of lengths and indices
 
 
 class View(types.Type):
-    """The type of a view as numba represents it: numbers of one type, in one to four dimensions, without gaps in memory."""
+    """The numba type of a view: a pointer to numbers of one type without gaps between them, and one to four lengths."""
 
     def __init__(self, dtype: Any, ndim: int) -> None:
         self.dtype, self.ndim = dtype, ndim
@@ -47,7 +47,7 @@ class _ViewModel(models.StructModel):
 
 
 def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list]:
-    """Return the pointer and the lengths of a view or an array."""
+    """Write code that takes a view or an array apart; return the LLVM values of its data pointer and of its lengths."""
     if isinstance(kind, View):
         return builder.extract_value(value, 0), cgutils.unpack_tuple(builder, builder.extract_value(value, 1))
     array = context.make_array(kind)(context, builder, value)
@@ -129,7 +129,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # numba gives a slice without an end the largest integer as its end
+    # The end of a slice such as A[i:] is the largest integer in numba, so it is cut to the length.
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
@@ -151,7 +151,7 @@ def _shape(context, builder, kind, value):
 
 # ------------------------------------------------------------------------------------------------------------ making views
 def view(A):
-    """Return a view of a contiguous array."""
+    """Return a view (pointer and shape, without reference counting) of a C-contiguous array, or a given view itself."""
     return A
 
 
@@ -171,7 +171,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Keep an array alive up to this call: views do not count as references, so numba would free the memory earlier."""
+    """Keep the memory of array A until this call: a view of A is not a counted reference, so numba could free A earlier."""
 
 
 @overload(keep, jit_options=INLINE)
@@ -185,7 +185,7 @@ def _used(typing, A):
 
 
 def flat(A):
-    """Return a one-dimensional view of all numbers of a view."""
+    """Return the numbers of a view A of any shape as a one-dimensional view of the same memory."""
     return A.reshape(-1)
 
 
@@ -204,7 +204,7 @@ def _as_flat(typing, A):
 
 
 def fold(A, kind, n, m):
-    """Return the first n m numbers, of type `kind`, of a view (K,) as a table (n, m)."""
+    """Read the memory of a view A (K,) as numbers of type `kind`; return the first n * m of them as a view (n, m)."""
     return A.view(kind)[: n * m].reshape(n, m)
 
 
@@ -226,20 +226,20 @@ def _as_table(typing, A, kind, n, m):
 # ---------------------------------------------------------------------------------------------------------------- scratch
 @inline
 def space(n, m, L, N):
-    """Return the length [float64] of a block of scratch memory with room for all arrays of a search.
+    """Return how many float64 of scratch memory a search needs for all its temporary arrays.
 
-    The search has n coordinates, m errors, L joints on all chains and N precomputed starts. The term 8 max(n, m, 11)^2 is for
-    square matrices; (n + m + LINE)^2 is larger than all other matrices and vectors over n and m, 16 m is larger than the arrays of
-    the tips, and the rest is for gaps between arrays.
+    The search has n coordinates, m rows in its error vector, L joints on all chains together and N precomputed start
+    configurations. 8 max(n, m, 11)^2 numbers are for square matrices, (n + m + LINE)^2 for all other matrices and vectors over n
+    and m, 16 m for the arrays of the tips, and 64 LINE for the gaps before arrays, which begin at multiples of LINE.
     """
     return 8 * max(n, m, 11) * max(n, m, 11) + (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):
-    """Allocate arrays of given shapes (integers or tuples) from the unused part of a block; from a view, allocate views.
+    """Allocate arrays from a block of scratch memory; return them as a tuple (views if the block is a view), not initialised.
 
-    block (K,) is of float64; its first number says how much of it is used, and must be 0 at the start. The arrays hold numbers of
-    type `kind`, not initialised. Raises MemoryError if the block is too short.
+    block (K,) is of float64. Its first number counts the numbers already allocated; the caller sets it to 0 once. Each of `shapes`
+    is a length or a tuple of lengths, and `kind` is the type of the numbers. Raises MemoryError if the block is too short.
     """
     made = []
     for shape in shapes:
@@ -258,7 +258,9 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # Arrays allocated from an array share its memory and count references to it.
+@overload(
+    cut, jit_options=BUILD
+)  # Arrays cut from an array are counted references to its memory, which INLINE could not compile.
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 
@@ -301,7 +303,7 @@ def _pieces(typing, block, kind, shapes):
 # --------------------------------------------------------------------------------------------------------- numbers in a row
 @intrinsic
 def counted_part(typing, A, start, count):
-    """Return a tuple of `count` numbers of A (K,) from index `start` on; `count` must be a constant at compile time."""
+    """Return A[start : start + count] of a one-dimensional A as a tuple; `count` must be a constant at compile time."""
     if not isinstance(count, types.IntegerLiteral):
         return None
 
@@ -315,7 +317,7 @@ def counted_part(typing, A, start, count):
 
 @intrinsic
 def put_numbers(typing, A, start, record):
-    """Write the numbers of a NamedTuple to A (K,) from index `start` on."""
+    """Write the fields of `record`, a NamedTuple of numbers, to consecutive elements of A (K,), the first to A[start]."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, _ = parts_of(context, builder, sig.args[0], args[0])

@@ -29,9 +29,9 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-# Every kernel depends on all Python files directly in these folders.
+# Every kernel is compiled again after an edit of any Python file in or below these folders.
 STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
-HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; the body's SHA-256 hash (32 bytes) and the body follow
+HEAD = b"ik_toolkit kernel 1\n"  # A cache file consists of these bytes, the SHA-256 hash of its body (32 bytes), and the body.
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")
@@ -39,19 +39,19 @@ saying: dict[str, Any] = {"timer": None, "said": False}
 
 
 class MemoryCache(NullCache):
-    """A cache that stores nothing, for a function that must be compiled in every process; it logs each compilation."""
+    """Stands in for the disk cache of a function that must be compiled in every process: logs each compilation, stores nothing."""
 
     def __init__(self, what: str, why: str) -> None:
         """Take two texts for the log: the name of what is compiled, and why it cannot be kept."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Log that the kernel is compiled, and return None, so that numba compiles it."""
+        """Tell numba that no compiled version is stored, by returning None, and log that it is compiled now, and why."""
         compiling(self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
-    """A cache of the compiled versions (kernels) of one function, one file for each, in the folder that numba chooses."""
+    """Keeps the compiled versions of one function, one per set of argument types, in a file each, in a folder numba chooses."""
 
     def __init__(self, function: Any, what: str, stamp: str) -> None:
         """Take a function, its name for the log, and a hash of all its sources, which becomes a part of the key.
@@ -65,15 +65,15 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """Return the path of the file for a key; its name also contains a hash of the sources that all kernels depend on."""
+        """Return the file for a key (argument types, source hash, versions); its name also has a hash of the files in STAMPED."""
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled code for a signature, or None if there is no intact file, so that numba compiles it.
+        """Load the machine code for argument types `sig` from disk; if no intact file exists, return None, so that numba compiles.
 
-        numba's own cache also calls `refresh` here, which takes 0.3 s to load all that compiling needs. That is not needed here,
-        because the compiler calls it, too.
+        The method in numba also calls `target_context.refresh`, which takes 0.3 s and is needed only to compile; the compiler
+        calls it by itself.
         """
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
@@ -94,7 +94,7 @@ class DiskCache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write compiled code to its file; if that is impossible, warn and continue."""
+        """Write the machine code for argument types `sig` to the disk; if that is impossible, log a warning and continue."""
         if not self._impl.check_cachable(data) or open_to_others(Path(self._cache_path)):
             return
         key = self._index_key(sig, data.codegen)
@@ -106,11 +106,11 @@ class DiskCache(FunctionCache):
 
 
 def compiling(what: str, why: str, folder: Path | None = None) -> None:
-    """Log that a kernel is compiled; if that takes long, warn once in a process (without log handlers, on stderr)."""
+    """Log that function `what` is compiled now, and `why`; if it takes over 1 s, warn the user, once in a process."""
     COMPILING.info("compiling %s (%s)", what, why, extra={"folder": folder})
     made()
     if not saying["said"]:
-        # A user who sees nothing for 1 s wonders what is happening, so a message is shown after that time.
+        # A user who sees nothing for longer than this [s] may think that the program hangs.
         saying["timer"] = timer = threading.Timer(1.0, _say, (what.partition(" ")[0], why))
         timer.daemon = True
         timer.start()
@@ -123,15 +123,15 @@ def _say(what: str, why: str) -> None:
 
 
 def made() -> None:
-    """Note that the compilation has ended, so that no message is needed."""
+    """Cancel the warning that `compiling` prepared, because the compilation has ended."""
     if saying["timer"] is not None:
         saying["timer"].cancel()
         saying["timer"] = None
 
 
-@functools.cache  # Results are cached, so that the warning appears once in a process for each folder and reason.
+@functools.cache  # The cache lets the warning appear only once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
-    """Warn that compiled functions cannot be kept in a folder."""
+    """Log a warning, for the reason `why`, that compiled functions cannot be stored in a folder, so each process compiles again."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
@@ -147,7 +147,7 @@ def folder() -> Path | None:
 
 
 def open_to_others(path: Path) -> str:
-    """Return why other users (not root) may have written a file, or files in a folder; '' if none of them can have."""
+    """Return the reason if users other than this one and root could write the file or into the folder `path`, else ''."""
     try:
         return _open_to_others(os.stat(path))
     except OSError:
@@ -177,7 +177,7 @@ def _is_own_group(group: int) -> bool:
 
 
 def content(path: Path) -> bytes:
-    """Return the body that `write_body` wrote to a file. Raises ValueError if it is damaged or others may have written it."""
+    """Return the body of a cache file, without header and hash; ValueError if it is damaged or another user could write it."""
     with path.open("rb") as file:
         if why := _open_to_others(os.fstat(file.fileno())):
             raise ValueError(why)
@@ -189,7 +189,10 @@ def content(path: Path) -> bytes:
 
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
-    """Return the top folder of the compiled functions on disk, and the damaged files in it; function: any function with a cache."""
+    """Return the folder below which all compiled functions are stored, and the damaged files in it.
+
+    `function` is any function of the package with a disk cache; if it has none, the result is (None, []).
+    """
     cache = getattr(function, "_cache", None)
     if not isinstance(cache, DiskCache):
         return None, []
@@ -206,7 +209,7 @@ def _whole(path: Path) -> bool:
 
 
 def write_body(path: Path, body: bytes) -> None:
-    """Write a file whole or not at all, and remove files that were made from older sources."""
+    """Write a cache file of this body, whole or not at all; then remove cache files made from older sources beside it."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
@@ -218,7 +221,7 @@ def write_body(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # Results are cached, so that old files are removed only once in a process.
+@functools.cache  # The cache makes this run only once in a process for each folder.
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:
@@ -226,7 +229,10 @@ def _remove_old(folder: Path) -> None:
 
 
 def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
-    """Make the cache for a compiled function; parts: classes and functions that are compiled into it, such as a solver rule."""
+    """Return the disk cache for a function, or a MemoryCache if it cannot be stored.
+
+    `parts` are the classes and functions that are compiled into it as arguments, such as the class of a solver rule.
+    """
     what = " ".join([*(part.__name__ for part in parts[:1]), f"{function.__module__}.{function.__name__}"])
     for part in parts:
         if part.__module__ in ("__main__", "__mp_main__") or "<locals>" in part.__qualname__:
@@ -235,14 +241,14 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
     try:
         sources = {source for thing in (function, *parts) for source in _sources(thing)}
         return DiskCache(function, what, stamp_of(*STAMPED, *sorted(sources)))
-    # numba finds no folder to write to, or the function has no source file to hash
+    # numba found no folder to write to (RuntimeError), or the function has no source file to hash (OSError).
     except (RuntimeError, OSError) as error:
         return MemoryCache(what, str(error))
 
 
 # ------------------------------------------------------------------------------------------------------------ the stamp
 def stamp_of(*sources: Path) -> str:
-    """Return a hash of the contents of the given files, and of all Python files directly in the given folders."""
+    """Return the SHA-256 hash, as text, of the contents of the given files and of all Python files in and below given folders."""
     return _hash("".join(map(_stamp, sources)).encode())
 
 
@@ -274,7 +280,7 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        # a function that is called as module.name() is looked up by its name in the module
+        # In a call module.name() the name counts as unbound, so every unbound name is looked up in every module used.
         values += [vars(module).get(name) for module in modules for name in found.unbound]
         for value in values:
             ours = inspect.isfunction(value) and value.__module__.startswith(__name__.partition(".")[0] + ".")

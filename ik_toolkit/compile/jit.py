@@ -22,14 +22,14 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import made, make_cache
 
-# Releases of numba with which pipeline.py works; scripts/try_numba.py tries one.
-# pipeline.py uses private interfaces of numba, so other releases compile kernels in numba's own, slower way.
+# pipeline.py, which uses private interfaces of numba, was tested with these releases (by scripts/try_numba.py).
+# With any other release the standard compiler of numba is used, which is slower.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 
 
 def made_by(pipeline: str) -> dict[str, Any]:
-    """Return the option that makes numba use a class of pipeline.py; empty for a release of numba with which that was not tried."""
+    """Return the option of `njit` that selects a compiler class of pipeline.py by name; {} for releases of numba not in TRIED."""
     if not OWN_WAY:
         return {}
     from . import pipeline as own
@@ -37,24 +37,24 @@ def made_by(pipeline: str) -> dict[str, Any]:
     return {"pipeline_class": getattr(own, pipeline)}
 
 
-# The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
+# The fast-math flags nnan and ninf are left out: with them LLVM assumes that no NaN occurs, and tests that refuse NaN fail.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-# `jit` is for functions that both Python and compiled code may call; their machine code is not cached on disk.
+# Functions with `jit` may be called by Python and by compiled code; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
-# The options below are for functions that only compiled code calls (see pipeline.py); a call from Python would crash.
+# All options and decorators below, up to `spliced`, are for functions that only compiled code calls; Python would crash.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-# INLINE is for functions that make no arrays, compiled without reference counting.
+# INLINE turns off reference counting (_nrt), so functions compiled with it must not allocate arrays.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **made_by("PartPipeline"))
-# BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
+# BARE turns off forced inlining explicitly, because a function otherwise takes this option over from its caller.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
-# `inner` compiles one copy, which callers call. It is for code that rarely runs, or that is large and used in several places.
+# Functions with `inner` are never inlined, which is best for code that rarely runs, or is large and has several callers.
 inner = njit(**{**BARE, **made_by("CalledPipeline")})
-# `inline` copies the function into every caller; for small code and for code with large NamedTuples
+# Functions with `inline` are copied into every caller, which is best for small code and for arguments that are large records.
 inline = njit(**INLINE)
-build = njit(**BUILD)  # `build` copies the function into every caller, too; for code that makes arrays
-# `spliced` is for large code with a single caller, so that LLVM optimises only one copy
+build = njit(**BUILD)  # `build` is like `inline`, for functions that allocate arrays
+# `spliced` is for large functions with a single caller: numba inserts them there, so that LLVM does not optimise them twice.
 spliced = njit(inline="always", **BARE)
-# for functions that are inlined in compiled code, and that Python runs as plain Python
+# Functions with `shared` are inlined into compiled code, and run uncompiled when Python calls them.
 shared = register_jitable(**INLINE)
 
 
@@ -62,15 +62,15 @@ shared = register_jitable(**INLINE)
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods by method name and class
+METHODS: dict[str, dict[type, Callable]] = {}  # by method name and class: the methods that compiled code may call
 FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 
 
 def compiled(cls: type) -> type:
     """Class decorator: let compiled code call the methods of a NamedTuple class, each inlined where it is called.
 
-    Which method is called is decided at compile time by the class of the NamedTuple; this is how the one search loop gets its
-    solver rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) the methods are normal methods. Methods of the same name
+    The class of the NamedTuple decides at compile time which method is called: one search loop thus serves all solvers, each a
+    class with the same methods. Without compilation (NUMBA_DISABLE_JIT=1) the methods are normal methods. Methods of the same name
     must have the same argument names in all classes. As numba looks up methods before fields, no field of any class may have the
     name of a method of any class.
 
@@ -103,11 +103,11 @@ def _let_numba_know(name: str, example: Callable) -> None:
 
 # ----------------------------------------------------------------------------------------------------------- the boundary
 def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") -> Any:
-    """Decorator: compile a function that Python calls, with a cache on disk.
+    """Decorator: compile a function that Python calls, and cache the machine code on disk.
 
-    The cache is invalid after an edit of any file directly in the folders `kernel` and `compile`, of the function's file, or of the
-    files of `parts`. These are classes and functions, such as a solver rule, that are compiled into the function but are not found
-    through its global names.
+    `parts` are classes and functions that are compiled into it as arguments, such as the class of a solver rule, so that its
+    global names do not lead to them. The function is compiled again after an edit of its own file, of a file of `parts`, or of any
+    file in the folders `kernel` and `compile`. `pipeline` names a compiler class of pipeline.py.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **made_by(pipeline))(function)
     if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
@@ -117,12 +117,12 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
 
 
 def cached_small(function: Callable, *parts: Any) -> Any:
-    """Decorator: like `cached`, for a long function whose loops are short, see `SmallLibrary`."""
+    """Decorator like `cached` that neither unrolls nor vectorises loops: for long functions whose loops run over a few joints."""
     return cached(function, *parts, pipeline="SmallPipeline")
 
 
 def dual(function: Callable) -> Any:
-    """Decorator for functions that make no arrays: compile them twice, by `cached` for Python and inlinable for compiled code."""
+    """Decorator: compile a function that allocates no arrays by `cached` for Python, and again for callers in compiled code."""
     dispatcher = cached(function)
     if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         part = njit(**BARE)(function)
@@ -130,24 +130,24 @@ def dual(function: Callable) -> Any:
     return dispatcher
 
 
-# The last times [s, by perf_counter] at which kernels (compiled functions) were compiled or loaded, with the thread that waited.
+# (thread, begin, end) of the last periods [s of perf_counter] in which a thread waited for machine code to be compiled or loaded
 waits: deque[tuple[int, float, float]] = deque(maxlen=64)
 
 
 def compile_time(since: float, everywhere: bool = False) -> float:
-    """Return how long [s] this thread, or any, has waited for code to be compiled or loaded, since a time of `perf_counter`."""
+    """Return how long [s] this thread (or any, if `everywhere`) has waited for compilation since the perf_counter time `since`."""
     if not waits or waits[-1][2] < since:
         return 0.0
     me, total, last = threading.get_ident(), 0.0, since
     for begin, end in sorted((begin, end) for thread, begin, end in tuple(waits) if everywhere or thread == me):
-        if end > last:  # waits of several threads overlap, so each period is counted once
+        if end > last:  # Several threads may wait at once; that time counts only once.
             total += end - max(begin, last)
             last = end
     return total
 
 
 def noting_time(compile_for: Callable) -> Callable:
-    """Wrap numba's compile function: note how long it takes, and pause the garbage collector, which saves a tenth of the time."""
+    """Wrap the method by which numba compiles: add its times to `waits`, and pause the garbage collector, which saves 10 %."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:
@@ -158,7 +158,7 @@ def noting_time(compile_for: Callable) -> Callable:
         finally:
             if was_on:
                 gc.enable()
-                # otherwise the garbage collector would run at the next allocation and count as time of the solve
+                # Without this call the garbage collector would run at the next allocation and prolong the measured solve.
                 gc.collect(0)
             made()
             waits.append((threading.get_ident(), began, perf_counter()))

@@ -25,7 +25,7 @@ from numba.core.typed_passes import NativeLowering
 
 
 class Whole:
-    """Passes a record to a function as one argument, where numba would pass each number, also of nested records, separately."""
+    """Base of data models that pass a NamedTuple to a function as one LLVM argument; numba would pass each number separately."""
 
     def get_argument_type(self) -> Any:
         return self.get_value_type()  # pyright: ignore[reportAttributeAccessIssue]
@@ -37,33 +37,26 @@ class Whole:
         return value
 
 
-class RecordModel(Whole, TupleModel):
-    """The LLVM form of a record with fields of several types."""
-
-
-class EvenRecordModel(Whole, UniTupleModel):
-    """The LLVM form of a record whose fields are all of one type."""
-
-
-def record_model(own: type, general: type) -> Any:
-    """Return a function that gives NamedTuples their LLVM form: `own` for this package's classes, numba's `general` for others."""
+def record_model(general: type) -> Any:
+    """Return a function that makes the LLVM data model of a NamedTuple: `general`, with `Whole` for classes of this package."""
     package = __name__.partition(".")[0]
+    own: Any = type("RecordModel", (Whole, general), {})
     return lambda manager, kind: (
         own if kind.instance_class.__module__.partition(".")[0] == package else general
     )(manager, kind)  # fmt: skip
 
 
-default_manager.register(types.NamedTuple, record_model(RecordModel, TupleModel))
-default_manager.register(types.NamedUniTuple, record_model(EvenRecordModel, UniTupleModel))
+default_manager.register(types.NamedTuple, record_model(TupleModel))
+default_manager.register(types.NamedUniTuple, record_model(UniTupleModel))
 
 
 class PartConvention(CPUCallConv):
-    """How a part of a kernel calls other functions: an error in one of them is passed on to the part's own caller."""
+    """Calling convention inside kernels: a function that fails stores its exception for the Python wrapper of the kernel."""
 
     def call_function(
         self, builder: Any, callee: Any, resty: Any, argtys: Sequence, args: Sequence, attrs: Any = None
     ) -> tuple[Status, Any]:
-        """Write the call of a function, which stores an exception where the caller of this part looks for it."""
+        """Write a call that hands on the place for an exception; return the LLVM values of status and result."""
         if isinstance(resty, types.Optional):
             return super().call_function(builder, callee, resty, argtys, args, attrs)
         place = self._get_return_argument(callee.function_type).pointee
@@ -76,20 +69,20 @@ class PartConvention(CPUCallConv):
         return status, self.context.get_returned_value(builder, resty, builder.load(slot))
 
     def return_status_propagate(self, builder: Any, status: Status) -> None:
-        """Write code that makes a part of a kernel return the error code of a call that failed."""
+        """Write code by which a function returns the error code of a failed call to its own caller."""
         if status.excinfoptr is not None:
             builder.store(status.excinfoptr, self._get_excinfo_argument(builder.function))
         self._return_errcode_raw(builder, status.code)
 
 
 class PartContext(CPUContext):
-    """numba's context for machine code, with calls by PartConvention."""
+    """The target context of numba, in which calls follow PartConvention."""
 
     call_conv = property(PartConvention)
 
 
 class PartLower(Lower):
-    """Writes the LLVM code of a part of a kernel."""
+    """Translates the typed intermediate code of numba to LLVM code, for functions that only compiled code calls."""
 
     def _find_singly_assigned_variable(self) -> None:
         """Find the variables that need no memory: those assigned once, in a block that is passed before each use.
@@ -105,19 +98,19 @@ class PartLower(Lower):
         before = graph.dominators()
         free = {name for name, found in homes.items() if len(found) == 1} - must_use_alloca(blocks)
         for label, names in used.items():
-            # Blocks are written in the order of their labels.
+            # LLVM code is written block by block in the order of labels, so a variable must be set in a block written earlier.
             free -= {name for name in names & free if homes[name][0] >= label or homes[name][0] not in before[label]}
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value as it is, or store it in memory; the value that it replaces needs no reference counting."""
+        """Assign an LLVM value to a variable: in a register if the variable is assigned only once, else in memory."""
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:
             self.builder.store(value, self.getvar(name))
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
-        """Write an expression; a `range` with step 1 gets no division, by which numba would compute its length."""
+        """Write the LLVM code of an expression; for a `range` with step 1 without the division by which numba finds its length."""
         if expr.op in ("getiter", "iternext"):
             kind = self.typeof(expr.value.name)
             value = self.loadvar(expr.value.name)
@@ -140,7 +133,7 @@ class PartLower(Lower):
         builder.store(start, place)
         builder.store(builder.select(builder.icmp_signed(">", length, zero), length, zero), left)
         made = llvm.Constant(self.context.get_value_type(kind), llvm.Undefined)
-        for k, part in enumerate((place, stop, step, left)):  # the names are the fields of numba's RangeIter
+        for k, part in enumerate((place, stop, step, left)):  # the order of the fields of RangeIter in numba
             made = builder.insert_value(made, part, k)
         return made
 
@@ -158,7 +151,7 @@ class PartLower(Lower):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class PartLowering(NativeLowering):
-    """numba's compiler pass that writes LLVM code, for a part of a kernel."""
+    """The compiler pass that writes LLVM code by PartLower, for functions that only compiled code calls."""
 
     _name = "part_lowering"
     lowering_class = property(lambda self: PartLower)

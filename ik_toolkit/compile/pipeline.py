@@ -26,17 +26,17 @@ from numba.core.typed_passes import NativeLowering
 
 from .lowering import PartContext, PartLowering
 
-everything = PostProcessor.run  # numba's own method, which `in_order` replaces while parts of kernels are compiled
-# numba's timers, one for each part that is being compiled. numba notifies all of them of every call of LLVM, some 20,000 per
-# kernel.
+everything = PostProcessor.run  # the original method, which `in_order` replaces while a kernel is compiled
+# Timers that llvmlite notifies of every call of LLVM. numba adds one for each function being compiled, and one kernel takes some
+# 20,000 calls, so the list is emptied meanwhile.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """numba's pass manager for a part of a kernel, without events, timers and checks around each pass."""
+    """Runs the compiler passes of numba for one function, without the events, timers and checks that numba adds to each."""
 
     def run(self, state: Any) -> None:
-        """Run all passes, and sort the blocks of the code after each pass that changed their order."""
+        """Run all passes on `state`, the function being compiled; sort its blocks after each pass that changed the control flow."""
         for kind, _ in self.passes:
             known = _pass_registry.get(kind)
             step = known.pass_inst
@@ -49,7 +49,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Do what PostProcessor.run does, except for liveness analysis, which only generators and reference counts need."""
+    """Replace PostProcessor.run of numba: sort the blocks; liveness analysis only where generators or reference counts need it."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:
@@ -63,10 +63,10 @@ def size_of(target: Any, kind: Any) -> int:
 
 
 def remembered(function: Callable) -> Callable:
-    """Cache the results of a function by the identity of its arguments.
+    """Return a function that caches the results of `function` (except None) by the identity of its arguments.
 
-    numba has a single object for equal types, so it is enough to compare identities. Comparing types of nested NamedTuples would
-    take long.
+    The arguments are types, of which numba has a single object each. Comparing types of nested NamedTuples by value would take
+    long.
     """
     known: dict[tuple, tuple] = {}
 
@@ -85,12 +85,12 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """While a kernel is compiled, cache what numba finds out about types: overloads, fields and methods of NamedTuples.
+    """Context in which type inference caches its results (function overloads, attributes of NamedTuples) for one kernel.
 
-    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache is
-    emptied after the kernel, because functions may be redefined before the next one.
+    `typing` is the typing context of numba. The caller holds the compiler lock of numba, so nothing else is compiled meanwhile. The
+    cache is emptied afterwards, because functions may be redefined before the next kernel is compiled.
     """
-    if "resolve_function_type" in vars(typing):  # another kernel is being compiled, and the cache made for it is in use
+    if "resolve_function_type" in vars(typing):  # A kernel that is compiled while another one is uses the same cache.
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -100,7 +100,7 @@ def remembering(typing: Any) -> Iterator[None]:
     def resolve_function_type(function: Any, kinds: Any, names: Any) -> Any:
         if names or not isinstance(function, types.Callable):
             return resolve(function, kinds, names)
-        # Types of constants are replaced by general types, so that one compiled function serves all constants.
+        # The type of a constant, such as Literal[3], becomes the general type, so one compiled function serves all constants.
         if isinstance(function, types.Dispatcher):
             kinds = map(types.unliteral, kinds)
         return call(function, *kinds)
@@ -125,21 +125,21 @@ LEVEL = 1
 
 
 class PartLibrary(JITCodeLibrary):
-    """LLVM code of a part of a kernel: simplified, not yet machine code, and without the functions that it calls.
+    """LLVM code of one function that only compiled code calls, without the functions that it calls itself.
 
-    A kernel is optimised once, when all its parts are linked. Simplifying each part first saves time, because its code is still
-    short.
+    The code is simplified, which is fast while it is short, but not yet optimised: that is done once, for the whole kernel (the
+    compiled function that Python calls), when all its functions are linked.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Add code without verifying it, because the kernel is verified with all its parts."""
+        """Add an llvmlite module to the code, simplified but not verified: the linked kernel is verified as a whole."""
         self._raise_if_finalized()
         made = parse_assembly(normalize_ir_text(str(ir_module)))
         made.name = ir_module.name
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # The first module, usually the only one, need not be linked to anything.
+        else:  # The first module, usually the only one, replaces the empty module.
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -151,7 +151,7 @@ class PartLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """Finish a part without linking the functions that it calls, because each of them is linked once into the kernel."""
+        """Close the library without linking the functions that it calls, because each of them is linked once into the kernel."""
         self._raise_if_finalized()
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -168,10 +168,9 @@ class PartLibrary(JITCodeLibrary):
 
 
 class KernelLibrary(JITCodeLibrary):
-    """Code of a kernel, into which every part that it needs is linked once."""
+    """Code of a function that Python calls, into which every compiled function that it needs is linked once and then optimised."""
 
-    # LLVM's optimisations that are left out: without them the solvers are as fast, and each after the first compiles in two thirds
-    # of the time.
+    # Without these optimisations of LLVM the solvers are as fast, and each solver but the first compiles in two thirds of the time.
     left_out: tuple[str, ...] = ("loop_interleaving", "slp_vectorization")
 
     def finalize(self) -> None:
@@ -196,17 +195,17 @@ class KernelLibrary(JITCodeLibrary):
 
 
 class SmallLibrary(KernelLibrary):
-    """Code of a long kernel whose loops, over a robot's joints, are neither unrolled nor vectorised.
+    """Code of a long function that Python calls, whose loops over the joints of a robot are neither unrolled nor vectorised.
 
-    Unrolling and vectorising would double the code of a tracker or a path search without making it faster. (A solve becomes a fifth
-    faster by them, so its kernel is a KernelLibrary.)
+    Unrolling and vectorising would double the code of a tracker or a path search without making it faster. The solvers become a
+    fifth faster by them, so their code is a KernelLibrary.
     """
 
     left_out = (*KernelLibrary.left_out, "loop_unrolling", "loop_vectorization")
 
 
 def link(module: Any, libraries: list) -> None:
-    """Link libraries and all that they call into a module, callers first, because LLVM drops a function that nothing calls yet."""
+    """Link libraries and all functions that they call into a module, callers first, as LLVM drops functions not called so far."""
     order: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
@@ -223,7 +222,7 @@ def link(module: Any, libraries: list) -> None:
 
 
 class CalledLibrary(PartLibrary):
-    """LLVM code of a part that is never inlined; LLVM itself would inline even a long function that has only one caller."""
+    """LLVM code of a function marked as never inlined; LLVM would otherwise inline even a long one that has a single caller."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         for function in ll_module.functions:
@@ -232,23 +231,22 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
-# Compiler options that every part sets for itself, whatever the options of its caller; numba derives dbg_optnone from forceinline.
+# Compiler options that a function does not take over from its caller; numba derives dbg_optnone from forceinline.
 OWN = {"forceinline", "dbg_optnone"}
 
 
 class FastFlags(Flags):
-    """numba's compiler options, compared faster because only the few options that were set are compared.
+    """Compiler options of a function, compared faster than numba does: only options that were set are compared, not all fifty.
 
-    numba compares options whenever it looks for an overload, which is for every operator of every function, and its own
-    `Flags` compare all fifty. The options in OWN are not compared, so that inlined parts and called parts share one compiled
-    copy of a method that both use.
+    numba compares options whenever it looks for an overload, which is for every operator of every function. The options in OWN
+    are not compared, so that inlined functions and called functions share one compiled copy of a method that both use.
     """
 
     def values(self) -> dict:
         return self._values
 
     def __hash__(self) -> int:
-        return hash(FastFlags)  # One hash for all is enough, because numba looks up the types of a call first.
+        return hash(FastFlags)  # A constant is enough, because a key of numba also has the types of the call.
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, FastFlags) and self._shared() == other._shared()
@@ -257,7 +255,7 @@ class FastFlags(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes of numba that are left out because parts of kernels use no `with`, comprehensions, closures or exceptions.
+# Passes of numba for `with`, comprehensions, closures and `try`, which functions that only compiled code calls do not use.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",
@@ -266,13 +264,13 @@ UNNEEDED = {
 
 
 class PartPipeline(Compiler):
-    """numba's compiler pipeline for a part of a kernel; the code goes into a PartLibrary."""
+    """Compiles a function that only compiled code calls; the LLVM code goes into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # one pass manager, made for the first part and used for all parts
+    passes: ClassVar[list] = []  # the pass manager, made once and used for all functions
 
     def define_pipelines(self) -> list:
-        """Return numba's passes without those that a part does not need."""
+        """Return a list with one pass manager: that of numba without the passes in UNNEEDED, and with PartLowering."""
         if not PartPipeline.passes:
             (manager,) = super().define_pipelines()
             quick = Passes("part")
@@ -283,12 +281,12 @@ class PartPipeline(Compiler):
         return PartPipeline.passes
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function without the code by which Python would call it."""
+        """Compile a Python function without the wrapper by which Python would call it; return the result as numba does."""
         state = self.state
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = FastFlags(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
-        # the context is numba's copy for this function, so its class may be changed
+        # numba copies the target context for each function, so its class may be changed.
         state.targetctx.__class__ = PartContext
         state.targetctx.get_abi_sizeof = partial(size_of, state.targetctx.target_data)
         result = super().compile_extra(func)
@@ -301,13 +299,13 @@ class PartPipeline(Compiler):
 
 
 class CalledPipeline(PartPipeline):
-    """numba's compiler pipeline for a part that is not inlined; the code goes into a CalledLibrary."""
+    """Compiles a function that only compiled code calls and that is never inlined; the LLVM code goes into a CalledLibrary."""
 
     library = CalledLibrary
 
 
 class KernelPipeline(Compiler):
-    """numba's compiler pipeline for a kernel; the code goes into a KernelLibrary."""
+    """Compiles a function that Python calls; the code goes into a KernelLibrary."""
 
     library = KernelLibrary
 
@@ -319,6 +317,6 @@ class KernelPipeline(Compiler):
 
 
 class SmallPipeline(KernelPipeline):
-    """numba's compiler pipeline for a kernel whose code goes into a SmallLibrary."""
+    """Compiles a function that Python calls into a SmallLibrary, in which loops are neither unrolled nor vectorised."""
 
     library = SmallLibrary

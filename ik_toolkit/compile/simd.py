@@ -4,7 +4,7 @@ Arithmetic operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full
 them to arrays. Comparisons give masks, which `lane_select` and `bits` take.
 """
 
-# Pyright reports calls of intrinsics, because numba itself passes their first argument.
+# Pyright reports every call of an @intrinsic function, because numba itself passes the first argument.
 # pyright: reportCallIssue=false, reportOptionalCall=false
 import math
 import operator
@@ -20,8 +20,8 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-# Number of lanes of a vector: two registers of AVX2 or one of AVX-512.
-# Vectors of four would be hardly faster, because the processor mostly waits for the results of earlier operations.
+# A SIMD vector has this many float64, which fill two registers of AVX2 or one of AVX-512. With four, AVX2 would do less work at
+# a time without being faster, because the processor mostly waits for the results of earlier operations.
 WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
@@ -145,7 +145,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 @intrinsic
 def lane_load(typing, array, start):
-    """Return a vector of WIDTH numbers of an array from flat index `start` on (row-major)."""
+    """Return a vector of WIDTH consecutive float64 of `array` (row-major, any shape), from flat index `start` on."""
 
     def generate(context, builder, sig, args):
         return builder.load(_pointer(context, builder, sig.args[0], *args), align=8)
@@ -155,7 +155,7 @@ def lane_load(typing, array, start):
 
 @intrinsic
 def store(typing, array, start, value):
-    """Write a vector to WIDTH numbers of an array from flat index `start` on (row-major)."""
+    """Write a vector to WIDTH consecutive float64 in the memory of `array` (row-major, any shape), from flat index `start` on."""
 
     def generate(context, builder, sig, args):
         builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1]), align=8)
@@ -166,19 +166,19 @@ def store(typing, array, start, value):
 
 @intrinsic
 def full(typing, number):
-    """Return a vector of copies of one number."""
+    """Return a SIMD vector whose WIDTH lanes all hold `number`."""
     return vector(types.float64), lambda context, builder, sig, args: _splat(builder, args[0])
 
 
 @intrinsic
 def lane_select(typing, condition, yes, no):
-    """Return a vector that has the numbers of `yes` where the mask is true, and those of `no` elsewhere."""
+    """Return a SIMD vector with the lanes of `yes` where the mask `condition` is true, and those of `no` elsewhere."""
     return vector(mask, vector, vector), lambda context, builder, sig, args: builder.select(*args)
 
 
 @intrinsic
 def bits(typing, condition):
-    """Return a mask as an integer whose bit k is 1 where lane k is true."""
+    """Return an integer whose bit k is 1 where lane k of the mask `condition` is true."""
 
     def generate(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), ir.IntType(64))

@@ -18,7 +18,7 @@ from ..kernel.counted_error import KIND
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# N samples of a quantity and of its first and second derivative; for poses (N, 4, 4) these are twists and accelerations (N, 6)
+# N samples of a path position with its first and second derivative, or poses (N, 4, 4), twists (N, 6) and accelerations (N, 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 MAX_STEPS = 1e7  # largest number of samples in a run; that many already take over 1 GB of memory
 
@@ -134,7 +134,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
     if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # If a singular value of R differs from 1 by PROJECT_WITHIN, some entry of R^T R - I exceeds a third of PROJECT_WITHIN.
+        # Wherever a singular value of R differs from 1 by PROJECT_WITHIN, an entry of R^T R - I exceeds a third of PROJECT_WITHIN.
         # Testing that first avoids the singular value decomposition for most samples.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
@@ -176,7 +176,7 @@ def on_path(
     name: str,
     turn: np.ndarray | None = None,
 ) -> Reference:
-    """Make a reference that moves along path(s), s from 0 to 1, as s = law(t / duration).
+    """Make a moving target (Reference) that runs along the curve path(s), where s = law(t / duration) rises from 0 to 1.
 
     Args:
         path: Takes s (N,); returns positions (N, 3) [m] in the base frame and their first and second derivatives with respect to s.
@@ -212,9 +212,9 @@ def _along(
 
 
 def still(count: int, R0: np.ndarray | None) -> Samples:
-    """Return `count` samples of a tip that rests at the origin with rotation R0 (None: identity).
+    """Return poses (count, 4, 4) of a tip that rests at the origin with rotation R0 (3, 3) (None: identity).
 
-    Twists and accelerations are 0.
+    The twists and accelerations, both (count, 6), that are returned with them are 0.
     """
     T = np.zeros((count, 4, 4))
     T[:, :3, :3] = np.eye(3) if R0 is None else R0
@@ -234,8 +234,6 @@ def exp(w: np.ndarray) -> np.ndarray:
 
 def log(R: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,) [rad] of a rotation matrix (3, 3)."""
-    import pinocchio as pin
-
     return pin.log3(np.asarray(R))
 
 
@@ -252,8 +250,9 @@ def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
 def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return poses (M, F, 4, 4) at positions `at` (M,) on the path through the poses T (N, F, 4, 4).
 
-    Position 3.5 is halfway from pose 3 to pose 4. Positions lie on the straight line, rotations on the geodesic. kinds: a
-    target kind per tip; the rotation of a tip whose orientation is free is copied from the pose before.
+    F is the number of tips. Position 3.5 is halfway from pose 3 to pose 4: on the straight line, with the rotation interpolated
+    about a fixed axis. `kinds` has the kind of target (KIND) of each tip; a tip whose orientation is free keeps the rotation of the
+    pose before.
     """
     k = np.minimum(at.astype(int), max(len(T) - 2, 0))
     share = at - k

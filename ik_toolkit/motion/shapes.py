@@ -13,7 +13,7 @@ from .reference import Reference, Samples, law_of, log, on_path, split
 
 
 def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds: int = 0) -> Reference:
-    """Make a reference along a straight line; the orientation turns at the same pace about one fixed axis.
+    """Make a moving target (Reference) along a straight line; its orientation turns in proportion about one fixed axis.
 
     Args:
         start: First pose (4, 4) or position (3,), base frame [m].
@@ -60,7 +60,7 @@ def circle(
     duration: float = 10.0,
     law: str = "constant",
 ) -> Reference:
-    """Make a reference along a circle, at a fixed orientation.
+    """Make a moving target (Reference) along a circle, at a fixed orientation.
 
     Give either start or center. If center is given, the motion starts at distance `radius` from it, in the direction of
     the base x axis projected into the plane of the circle (of the y axis if x is the normal).
@@ -126,7 +126,7 @@ def lissajous(
     duration: float = 10.0,
     law: str = "constant",
 ) -> Reference:
-    """Make a reference along a Lissajous figure, at a fixed orientation.
+    """Make a moving target (Reference) along a Lissajous figure, at a fixed orientation.
 
     Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1.
     The default is a figure of eight in the horizontal plane through the centre.

@@ -82,7 +82,7 @@ class Teleop:
             InvalidTarget: T_controller is not a pose; the target has not moved.
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
-        # A released clutch counts even if the device sends an invalid pose.
+        # A release of the clutch takes effect even if the device sends an invalid pose.
         if not switch(engaged, "engaged"):
             self._anchor, self._released, self.engaged = None, True, False
         raw, dt = floats(as_array(T_controller), "a pose (4, 4) is needed", InvalidTarget), positive(dt, "dt [s]")

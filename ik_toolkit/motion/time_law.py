@@ -12,7 +12,7 @@ from ..compile.jit import cached
 
 # Half width [samples] of a moving average over s, ds/dt and d2s/dt2, which avoids errors of the tip where d2s/dt2 jumps.
 ROUNDED = 2
-TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
+TINY = 1e-12  # Where |dq/ds| is below TINY (1 + |d2q/ds2|), the joint does not limit the acceleration d2s/dt2.
 
 
 def time_law(
@@ -72,7 +72,7 @@ def times_of(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 
 def evenly(count: int, most: int) -> np.ndarray:
-    """Return the indices of at most `most` of `count` samples, at even distances, the first and the last included."""
+    """Return the indices of at most `most` of `count` samples, evenly spaced and including the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
@@ -97,10 +97,10 @@ def coordinate_at(
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
-    """Return the centred moving average of values (M,) over ROUNDED neighbours on each side, fewer near the ends."""
+    """Return the centred moving average of evenly spaced values (M,), over up to ROUNDED neighbours on each side of each."""
     total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
-    # Both ends stay as they are, to the last digit.
+    # The first and the last value are copied, because a difference of sums would change their last digit.
     return np.where(side > 0, (total[k + side + 1] - total[k - side]) / (2 * side + 1), values)
 
 
@@ -108,9 +108,11 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     """Lower z = (ds/dt)^2 (N + 1,) in place until all joints keep their acceleration limits (one backward and one forward pass).
 
-    joint (N + 1,) receives the index, from `names` (n,), of the joint that limits each z. If the bound `gain` on d2s/dt2 lowers z
-    before or after a slow point, the joint that limits that point is named. In one interval the largest z is the optimum of a
-    linear program in (z, u); u is eliminated by combining each of its lower bounds with each of its upper bounds.
+    slope, bend (N + 1, n): dq/ds and d2q/ds2 of the joints with a limit; steps (N,): lengths of the intervals of s; acceleration
+    (n,): limits [rad/s^2 or m/s^2]; names (n,): indices of these joints in q; gain: limit of |u|, u = d2s/dt2. joint (N + 1,)
+    receives the index in q of the joint that limits each z; where `gain` limits z near a slow point, it is the joint that limits
+    that point. In one interval the largest z is the optimum of a linear program in (z, u); u is eliminated by combining each of
+    its lower bounds with each of its upper bounds.
     """
     n, last = slope.shape[1], steps.shape[0]
     low, low_z, low_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
@@ -127,7 +129,7 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
         for i in range(n):
             for at in range(2):
                 b = bend[k + at, i]
-                # At the end of the interval (at = 1) z has become z + 2 h u, which adds 2 h q'' to the factor of u.
+                # q'' = d2q/ds2. At the end of the interval (at = 1) z has become z + 2 h u, which adds 2 h q'' to the factor of u.
                 g = slope[k + at, i] + at * 2.0 * h * b
                 if abs(g) <= TINY * (1.0 + abs(b)):
                     if abs(b) * top > acceleration[i]:

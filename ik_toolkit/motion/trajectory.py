@@ -20,7 +20,7 @@ from ..text import TextTable, how_many
 from .reference import Reference, Samples, read_times
 from .time_law import coordinate_at
 
-# [s] step of the central difference for dJ/dt along the motion; its error falls with the square of the step
+# [s] step of the central difference by which dJ/dt (J: the Jacobian) is computed along the motion
 DIFFERENCE = 1e-5
 
 
@@ -139,7 +139,7 @@ class Trajectory:
         return file
 
     def to_reference(self, tip: str | None = None) -> Reference:
-        """Return the motion of a tip as a reference for `ik.track`.
+        """Return the motion of a tip as a moving target (Reference), which `ik.track` follows.
 
         Args:
             tip: Name of the tip; needed only if the robot has several.
@@ -220,7 +220,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         names, values, t = _joint_table(path)
     except InvalidConfiguration:
         raise
-    except InvalidTarget as error:  # The reader of tables has named the file.
+    except InvalidTarget as error:  # The message of `read_columns` names the file already.
         raise InvalidConfiguration(f"cannot read the motion: {error}") from None
     except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None

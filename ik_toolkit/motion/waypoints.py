@@ -14,7 +14,7 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# [s] Least time between two points of a spline: scipy computes its third power and the inverse of that power.
+# [s] Least time between two points of a spline: scipy computes 1 / time^3, which overflows for shorter times.
 SHORTEST = 1e-100
 # [m/rad] length that counts as much as a rotation of 1 rad when a duration is divided among waypoints
 RADIAN_AS_METRES = 0.25
@@ -27,7 +27,7 @@ def waypoints(
     times: Sequence[float] | None = None,
     law: str = "minimum-jerk",
 ) -> Reference:
-    """Make a reference through poses or positions in order. Either times or duration is given.
+    """Make a moving target (Reference) through poses or positions in order. Either times or duration is given.
 
     Args:
         targets: At least two poses (4, 4), or positions (3,), base frame [m].
@@ -62,7 +62,7 @@ def waypoints(
             raise InvalidTarget(f"waypoints {int(np.argmin(share))} and {int(np.argmin(share)) + 1} are the same")
         t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * positive(duration, "duration [s]")
     else:
-        t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P), "times")
+        t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P))
     if one_of(law, ("minimum-jerk", "spline"), "waypoint law") == "spline":
         return _spline(t, P, R, "clamped", "waypoints")
     return Reference(partial(_legs, t, P, R, turns), float(t[-1]), position_only=R is None, name="waypoints")
@@ -90,15 +90,15 @@ def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray,
     return T, V, A
 
 
-def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
+def _check_times(t: np.ndarray, count: int) -> np.ndarray:
     """Return times t (count,) [s] shifted to begin at 0; raise InvalidTarget unless they are finite and increase."""
     if t.shape != (count,):
-        raise InvalidTarget(f"{name} must be {count} numbers, one per pose, not an array of shape {t.shape}")
+        raise InvalidTarget(f"times must be {count} numbers, one per pose, not an array of shape {t.shape}")
     if not np.isfinite(t).all():
-        raise InvalidTarget(f"{name} has a value that is not finite (number {int(np.argmin(np.isfinite(t))) + 1})")
+        raise InvalidTarget(f"times has a value that is not finite (number {int(np.argmin(np.isfinite(t))) + 1})")
     if not (np.diff(t) > 0.0).all():
         i = int(np.argmin(np.diff(t)))
-        raise InvalidTarget(f"{name} must increase: number {i + 2} is {t[i + 1]:g} after {t[i]:g}")
+        raise InvalidTarget(f"times must increase: number {i + 2} is {t[i + 1]:g} after {t[i]:g}")
     return t - t[0]
 
 
@@ -137,7 +137,7 @@ def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Sample
 
 
 def reference_from_file(path: str | Path) -> Reference:
-    """Read a reference from a CSV or NPZ file of poses over time. Needs scipy.
+    """Read a moving target (Reference) from a CSV or NPZ file of poses over time. Needs scipy.
 
     A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad].
     An NPZ file has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic

@@ -13,20 +13,20 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, floats, near_match
+from .formats.urdf import ENDLESS
 from .pose import check_target
 from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 # The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)
 BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
-ENDLESS = 1e16  # A limit of this size means "no limit".
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
 }  # fmt: skip
 SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
 BASES = {"rail": ("x",), "planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
-PARTS = {  # These coordinates replace each of Pinocchio's joints with several degrees of freedom.
+PARTS = {  # by type of Pinocchio joint with several degrees of freedom: the single coordinates that replace it
     "JointModelFreeFlyer": BASES["floating"],
     "JointModelPlanar": BASES["planar"],
     "JointModelTranslation": SLIDES,
@@ -38,7 +38,7 @@ ROOT = "base"  # The names of base coordinates begin with this: base_x, ..., bas
 
 
 class UnfoldedJoint(NamedTuple):
-    """A joint with several degrees of freedom: its type, its index in q of the given model, and the joints that replace it."""
+    """A joint with several degrees of freedom: its Pinocchio type, its index in q of its model, and the joints that replace it."""
 
     kind: str
     idx_q: int
@@ -46,13 +46,13 @@ class UnfoldedJoint(NamedTuple):
 
 
 class GivenModel(NamedTuple):
-    """The model as the user gave it, and its joints with several degrees of freedom."""
+    """The Pinocchio model as the user gave it, and those of its joints that have several degrees of freedom."""
 
     model: pin.Model
     blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
-        """Convert a configuration of `model`, which has a one-DOF joint for each coordinate, to the given model."""
+        """Convert a configuration (nq,) of `model`, whose joints have one degree of freedom each, to one of the given model."""
         q = pin.neutral(self.model)
         for own, other, size in self._same(model):
             q[own : own + size] = full[other : other + size]
@@ -62,7 +62,7 @@ class GivenModel(NamedTuple):
         return q
 
     def back(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
-        """Convert a configuration of the given model to `model`."""
+        """Convert a configuration (nq,) of the given model to one of `model`, whose joints have one degree of freedom each."""
         full = pin.neutral(model)
         for own, other, size in self._same(model):
             full[other : other + size] = q[own : own + size]
@@ -83,13 +83,13 @@ class GivenModel(NamedTuple):
 
 
 def joint_value(joint: Any, full: np.ndarray) -> float:
-    """Return the value [rad or m] that a joint of one degree of freedom has in a configuration (nq,)."""
+    """Return the value [rad or m] of a Pinocchio joint with one degree of freedom in a configuration `full` (nq,)."""
     x = full[joint.idx_q : joint.idx_q + joint.nq]
     return float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
 
 
 def put_joint(joint: Any, full: np.ndarray, value: float) -> None:
-    """Write the value [rad or m] of a joint of one degree of freedom into a configuration (nq,)."""
+    """Write the value [rad or m] of a Pinocchio joint with one degree of freedom into a configuration `full` (nq,), in place."""
     x = (value,) if joint.nq == 1 else (math.cos(value), math.sin(value))
     full[joint.idx_q : joint.idx_q + joint.nq] = x
 
@@ -134,13 +134,13 @@ def _several(model: pin.Model) -> list[int]:
 
 
 def root_joint(model: pin.Model) -> int:
-    """Return the free-flyer or planar joint that carries the whole model, or 0 if there is none."""
+    """Return the id of the free-flyer or planar joint that carries the whole model, or 0 if there is none."""
     first = [j for j in range(1, model.njoints) if model.parents[j] == 0]
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
 def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
-    """Return the names of the last floating or planar joint above a tip and of the link that it carries, if there is one."""
+    """Return the names of the floating or planar joint nearest above a tip and of the link that it moves, or None."""
     joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
     above = model.supports[joint]
     roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
@@ -153,9 +153,10 @@ def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
 
 
 def unfold(model: pin.Model) -> tuple[pin.Model, GivenModel | None]:
-    """Replace joints with several degrees of freedom by single-coordinate joints; also return the conversion (None: none needed).
+    """Return a model whose joints with several degrees of freedom are replaced by joints of one, and a GivenModel of the original.
 
-    Frames keep their names. A model with mimic joints, which Pinocchio cannot copy, is unfolded at its root only.
+    The GivenModel converts configurations; it is None if no joint needed a replacement. Frames keep their names. In a model with
+    mimic joints, which Pinocchio cannot copy, only a joint at the root is replaced.
     """
     several = _several(model)
     root = root_joint(model)
@@ -222,7 +223,7 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
 
 
 def stand(model: pin.Model, on_base: Any) -> pin.Model:
-    """Put a model on a base: 'rail', 'planar', 'floating' or a pose (4, 4) of its root in the world.
+    """Return a copy of a model on a base: 'rail', 'planar', 'floating' (joints before the root), or the pose (4, 4) of its root.
 
     Raises InvalidOption, InvalidTarget.
     """
@@ -245,9 +246,11 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
 
 
 class BasedModel(NamedTuple):
-    """A model whose joints have one coordinate each, the conversion back to the given model, and its base coordinates.
+    """A Pinocchio model `model` whose joints have one degree of freedom each, made from the model that the user gave.
 
-    `original` is the given model, or None if it needed no change.
+    `original` is the user's model, or None if no change was needed; `given` converts configurations to it, or is None if q is the
+    same in both. `names` lists the joints added for a base or for joints with several degrees of freedom, `slides` the prismatic
+    ones of them.
     """
 
     model: pin.Model
@@ -258,7 +261,10 @@ class BasedModel(NamedTuple):
 
 
 def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> BasedModel:
-    """Give a model single-coordinate joints, a base and base limits. Raises InvalidOption, InvalidTarget, ModelError."""
+    """Return a model with joints of one degree of freedom, put on the base `on_base` with the limits `base_limits` of `Robot.load`.
+
+    Raises InvalidOption, InvalidTarget, ModelError.
+    """
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):
@@ -277,7 +283,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Move the shapes of `geometry`, in place, from the links of `original` to the links of `model` with the same names."""
+    """Attach the shapes of `geometry`, in place, to the links of `model` that have the names of their links in `original`."""
     for shape in geometry.geometryObjects:
         # A shape that has only a parent joint and no parent frame is placed like that joint.
         of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)
@@ -289,9 +295,10 @@ def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -
 
 
 def set_base_limits(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
-    """Write the limits of a base, whose coordinates are named slides and turns, into a model. Raises InvalidOption.
+    """Write the limits of a moving base into a model, in place. Raises InvalidOption.
 
-    base_limits is one (lower, upper) [m] for all slides, one pair for each slide or each coordinate, or a dict of pairs
+    slides, turns: names of the prismatic and of the revolute joints of the base. base_limits
+    is one (lower, upper) [m] for all slides, one pair for each slide or each coordinate, or a dict of pairs
     by name ('base_x' or 'x').
     """
     names = [*slides, *turns]

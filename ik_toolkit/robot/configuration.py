@@ -43,14 +43,14 @@ class Named(dict[str, np.ndarray]):
 
 
 def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
-    """Return `locked` as a dict from joint names to values; None is an empty one. Raises InvalidConfiguration."""
+    """Return the option `locked`, a dict from joint names to values, as a new dict (None: empty); else InvalidConfiguration."""
     if not isinstance(locked, Mapping | None):
         raise InvalidConfiguration(f"locked takes a dict from joint names to values [rad or m], not {locked!r:.60}")
     return dict(locked or {})
 
 
 def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
-    """Read joint values in any form.
+    """Read joint values given as an array, as the name of a stored configuration, or by joint, as an array (n,).
 
     Args:
         robot: whose joints they are, a Robot or a Tree.
@@ -59,7 +59,7 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
         name: name of the argument, for messages.
 
     Returns:
-        An array (n,), which is not checked, and a notice ('' or what was ignored).
+        The joint values (n,), which may be outside limits or not finite, and a sentence on ignored joints ('' if none).
 
     Raises:
         InvalidConfiguration: a joint is missing, or the values are not numbers.
@@ -91,20 +91,20 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
 
 
 def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
-    """Yield the name of every mimic joint of a model, and how it follows its leader."""
+    """Yield the name of every mimic joint of a Pinocchio model with its Tie: leader, ratio, and offset [rad or m]."""
     for j, (leader, ratio, offset) in mimics(model).items():
         yield model.names[j], Tie(model.names[leader], ratio, offset)
 
 
 def near_joint(joint: Any, model: pin.Model, names: Iterable[str]) -> str:
-    """Return the end of an error message about a joint that is not in `names`: the joint it follows, or one with a similar name."""
+    """Return the last words of an error about a joint not in `names`: which joint it mimics, or a name in `names` like it."""
     leader = next((tie.leader for follower, tie in leaders_of(model) if follower == joint), None)
     return near_match(joint, names) if leader is None else f" It follows '{leader}': give that joint instead."
 
 
 def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
-    """Return the limits [rad or m] that the URDF gives each mimic joint that follows a joint of q; infinite where there is none."""
-    own = mimic_limits(robot.urdf) if robot.urdf and robot.mimic_joints else {}
+    """Return the URDF limits (lower, upper) [rad or m] of each mimic joint that follows a joint of q; infinite if not given."""
+    own = mimic_limits(robot.urdf)
     ends = {joint: own[joint][3:] if joint in own else (-math.inf, math.inf) for joint in robot.mimic_joints}
     return {
         joint: (low if low > -NO_LIMIT else -math.inf, high if high < NO_LIMIT else math.inf)
@@ -113,7 +113,7 @@ def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
 
 
 def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
-    """Return, by the joint that they follow, the mimic joints at a limit of their own (within 1e-9) at a checked q (n,)."""
+    """Return, by leader, the mimic joints that are within 1e-9 [rad or m] of a limit of their own at a valid q (n,)."""
     limits, found = follower_limits(robot), {}
     at = joint_values(robot, q) if limits else {}
     for joint, (low, high) in limits.items():
@@ -123,14 +123,14 @@ def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
 
 
 def simple_joints(model: pin.Model) -> Iterator[tuple[str, Any]]:
-    """Yield the joints of a model that have one coordinate of their own, by name."""
+    """Yield name and joint for each joint of a Pinocchio model with one degree of freedom (mimic joints have none)."""
     for name, joint in zip([*model.names][1:], [*model.joints][1:], strict=True):
         if joint.nv == 1:
             yield name, joint
 
 
 def joint_values(robot: Any, q: np.ndarray) -> dict[str, float]:
-    """Return the values [rad or m] of all joints of a robot's model at a checked q (n,) by name."""
+    """Return the values [rad or m] of all joints of a robot at a valid q (n,), by name, with mimic joints and resting joints."""
     at = dict(zip(robot.joint_names, q.tolist(), strict=True))
     for name, joint in simple_joints(robot.model):
         if name not in at:
@@ -155,7 +155,7 @@ def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.nda
         rest = floats(rest, "rest must be numbers", InvalidConfiguration)
         if rest.shape != (model.nq,):
             raise InvalidConfiguration(f"rest must have {model.nq} values for this model, not shape {rest.shape}")
-    # Joints with several coordinates are converted only if the robot moves them; others keep the values of `rest` bit for bit.
+    # If the robot moves no joint with several coordinates, none is converted, so that they keep the exact values of `rest`.
     if given is None or not any(name in robot.joint_names for block in given.blocks for name in block.names):
         made, given = model, None
     full = pin.neutral(made) if rest is None else rest.copy() if given is None else given.back(made, rest)

@@ -17,7 +17,8 @@ from .base import joint_value, put_joint
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits, mimics
 
-STEPS, TRIES = 40, 5  # numbers of Levenberg-Marquardt steps and of starts, for closing a loop by joints off the path
+# To close a loop by joints off the path to the tip: steps of Levenberg-Marquardt from each start, and number of starts.
+STEPS, TRIES = 40, 5
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
 SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
@@ -40,15 +41,16 @@ class Loop(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """The name of the constraint's kind in messages."""
+        """The word for this constraint in messages: 'weld' if it also fixes the rotation, else 'loop'."""
         return "weld" if self.weld else "loop"
 
 
 class LinearLength(NamedTuple):
-    """A length or angle that depends on q: a sum of joint values and distances of points, each times a factor.
+    """A length or angle that depends on q: a sum of joint values and distances between points, each times a factor.
 
-    `zero` [m or rad] is subtracted from the sum. `known` is False for a tendon around a shape, whose length is not
-    computed.
+    `joints` has names and factors of joints, `lines` the two points and the factor of each distance, and `zero` [m or rad] is
+    subtracted from the sum. `metres` tells whether it is a length. `known` is False for a tendon around a shape, whose length is
+    not computed.
     """
 
     joints: tuple[tuple[str, float], ...]
@@ -59,7 +61,10 @@ class LinearLength(NamedTuple):
 
 
 class Relation(NamedTuple):
-    """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high between two lengths y and x; x may be missing."""
+    """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high between two lengths y and x [m or rad], or on y alone.
+
+    `curve` has the coefficients c0, c1, ...; `name` is for messages.
+    """
 
     name: str
     y: LinearLength
@@ -70,7 +75,7 @@ class Relation(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """The name of the relation's kind in messages."""
+        """The word for this relation in messages: 'equality' if low equals high, else 'range of tendon'."""
         return "equality" if self.low == self.high else "range of tendon"
 
 
@@ -78,14 +83,14 @@ Constraint = Loop | Relation
 
 
 class ConstraintCheck(NamedTuple):
-    """Result of a check: whether all constraints hold at a configuration, and a text about those that depend on its joints."""
+    """Whether all constraints of a robot hold at a configuration, and a text with the state of each that depends on q."""
 
     holds: bool
     text: str
 
 
 def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-    """Return whether the constraints of a robot hold at q (n,), within `position` [m] and `orientation` [rad]."""
+    """Check the loops and relations of a robot at q (n,), with the tolerances `position` [m] and `orientation` [rad]."""
     if not robot.constraints:
         return ConstraintCheck(True, "")
     closure = robot.memo.get("closure")
@@ -95,9 +100,9 @@ def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: floa
 
 
 def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:
-    """Return the index of the first row of Q (N, n) that breaks a constraint, and a text that says how.
+    """Return the index of the first configuration in Q (N, n) that violates a constraint, and a text that says how; else None.
 
-    The result is None if no row does. Rows of NaN are skipped. Tolerances: position [m], orientation [rad].
+    Rows with NaN are skipped. The tolerances are `position` [m] and `orientation` [rad].
     """
     if robot.constraints:
         for k in np.flatnonzero(np.isfinite(Q).all(axis=1)):
@@ -108,7 +113,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
 
 
 class CoupledConstraints(NamedTuple):
-    """Constraints that depend on the same joints off the path to the tip, with ids and limits (m,) of these m joints."""
+    """Constraints that share m joints off the path to the tip, with the ids of these joints and their limits (m,) [rad or m]."""
 
     constraints: list[Constraint]
     joints: list[int]
@@ -117,10 +122,10 @@ class CoupledConstraints(NamedTuple):
 
 
 class Closure:
-    """The constraints of a robot that depend on the joints of q."""
+    """Evaluates the constraints of a robot that depend on q, and finds the joints off the path to the tip that may satisfy them."""
 
     def __init__(self, robot: Any) -> None:
-        """Find the joints on which each constraint depends."""
+        """Find the joints of a Robot or Tree on which each of its constraints depends."""
         self.robot, self.model = robot, robot.model
         model = self.model
         single = [j for j in range(1, model.njoints) if model.joints[j].nvExtended == 1]
@@ -146,8 +151,8 @@ class Closure:
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
         path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
-            lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
-        except ModelError:  # a joint that has no position inside its limits cannot help to close a loop
+            lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf))
+        except ModelError:  # No position is inside all limits, so these joints cannot move to close a loop.
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return CoupledConstraints(constraints, joints, lower, upper)
 
@@ -172,7 +177,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-        """Close the loops by moving joints of `full` (nq,) that are not on the path to the tip; then evaluate the constraints."""
+        """Check the constraints at `full` (nq,), after moving joints off the path to the tip, in place, to satisfy them."""
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -197,7 +202,7 @@ class Closure:
         return " and ".join(parts)
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residual of a constraint [m, rad] at a configuration (nq,), and its derivative with respect to v (., nv)."""
+        """Return the residual (k,) [m, rad] of a constraint at `full` (nq,), and its derivative (k, nv) by the joint velocities."""
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         return self._residual(constraint, full)
 

@@ -31,12 +31,12 @@ from .probe import JointPath
 from .ros import is_by_name
 
 LOG = logging.getLogger("ik_toolkit")
-# rows of a tip's Jacobian, by the word for them
+# the rows of the Jacobian of a tip that the option rows= names
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
 
 
 class Joints(ReadOnly):
-    """Coordinates q (n,) of a model: what Robot and Tree have in common.
+    """Base class of Robot and Tree: the joint coordinates q (n,) of a Pinocchio model, with limits, home and named configurations.
 
     Attributes cannot be assigned (ReadOnlyAttribute), except for the name, because solvers are made from them.
 
@@ -118,7 +118,7 @@ class Joints(ReadOnly):
         raise NotImplementedError
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Compute the Jacobian (6 tips, n) [m or rad per rad or m] at q (n,) in base axes, linear rows of each tip first."""
+        """Compute the Jacobian (6 F, n) of F tips at q (n,) in base axes: by tip three linear rows [m], three angular [rad]."""
         raise NotImplementedError
 
     @property
@@ -137,7 +137,7 @@ class Joints(ReadOnly):
 
     @property
     def slides(self) -> np.ndarray:
-        """Which joints are prismatic (n,)."""
+        """For each joint (n,) whether it is prismatic."""
         return np.array([kind == "prismatic" for kind in self.joint_kinds], dtype=bool)
 
     @property
@@ -156,31 +156,31 @@ class Joints(ReadOnly):
 
     @property
     def named_tips(self) -> tuple[str, ...]:
-        """Names of the tips if targets are given by tip, as for a Tree; a Robot's one tip needs no name: ()."""
+        """Names of the tips for a Tree, whose targets are given by tip; () for a Robot, which has a single tip."""
         return ()
 
     @property
     def pose_shape(self) -> tuple[int, ...]:
-        """Shape of the array of all tips' poses in the compiled code: (4, 4), for several tips (F, 4, 4)."""
+        """Shape of the array with the poses of all tips in compiled code: (4, 4) for one tip, (F, 4, 4) for F tips."""
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict by tip, which they may already be. Raises FrameNotFound for an unknown name."""
+        """Return targets or poses as a dict by tip; a single value is that of the only tip. FrameNotFound for an unknown name."""
         if named := is_by_name(given):
             self.check_tips(given)
         return given if named or self.by_tip else {self.tips[0]: given}
 
     def for_tips(self, each: Mapping[str, Any]) -> Any:
-        """Return the inverse of `each_tip`: for a Robot the value of its only tip, for a Tree the dict itself."""
+        """Turn a dict of results by tip into what users get: for a Robot the value of its only tip, for a Tree the dict itself."""
         return each if self.by_tip else each[self.tips[0]]
 
     def tip_poses(self, q: np.ndarray) -> list[pin.SE3]:
-        """T_base_tip of each tip at a checked q (n,), in the order of `tips`, by Pinocchio."""
+        """Compute T_base_tip (pin.SE3) of each tip at a valid q (n,), in the order of `tips`, by Pinocchio."""
         return [arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)]
 
     @functools.cached_property
     def mobility(self) -> Any:
-        """Motions that the tip cannot make in any configuration, as a `Mobility`; for a Tree a dict of them by tip."""
+        """A Mobility: which positions and rotations the tip can have in any configuration at all; for a Tree a dict by tip."""
         return self.for_tips({arm.tip: mobility_of(arm) for arm in self.arms})
 
     def check_tips(self, names: Iterable[Any]) -> None:
@@ -192,12 +192,12 @@ class Joints(ReadOnly):
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration if it has the wrong size or is not finite."""
         array = self._values(q, name)
-        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # The comparison is false for NaN.
+        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # NaN fails this comparison too.
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            # values inside the limits are never mistaken for degrees
+            # A large angle is probably in degrees, unless the limits allow it.
             values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
             far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
             if far:
@@ -205,7 +205,7 @@ class Joints(ReadOnly):
         return array
 
     def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
-        """Convert joint values in any accepted form to an unchecked array (n,); also return a notice on what was ignored."""
+        """Return joint values in any accepted form as an array (n,), not checked, and a sentence on ignored joints, or ''."""
         return read_configuration(self, q, name)
 
     def _values(self, q: Any, name: str = "q") -> np.ndarray:
@@ -264,7 +264,7 @@ class Joints(ReadOnly):
         raise NotImplementedError
 
     def check_home(self, home: Any) -> np.ndarray:
-        """Return home as `check_q` does; also raises InvalidConfiguration outside the limits, because searches start there."""
+        """Return a home configuration as a float64 copy (n,); InvalidConfiguration if it does not fit or is outside the limits."""
         q = self.check_q(home, "home")
         if outside := self.outside(q):
             raise InvalidConfiguration(f"home is outside the limits at joint {', '.join(outside)}")
@@ -339,18 +339,18 @@ class Joints(ReadOnly):
 
     @property
     def mimic_joints(self) -> dict[str, Tie]:
-        """Joints of the model that follow one of q, by name: leader, ratio, and offset [rad or m]."""
+        """Mimic joints that follow a joint of q, by name, each with its leader, ratio, and offset [rad or m]."""
         return {joint: tie for joint, tie in leaders_of(self.model) if tie.leader in self.joint_names}
 
     def joint_values(self, q: Any) -> dict[str, float]:
-        """Return the values [rad or m] of all joints of the model at q (n,) by name: of q, mimic joints, and joints at rest."""
+        """Return the values [rad or m] of all joints at q (n,) by name, also those of mimic joints and of joints off the path."""
         return joint_values(self, self.check_q(q))
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None, *, model: pin.Model | None = None) -> np.ndarray:
-        """Return the configuration (nq,) of the model given or read, or of another with the same joints, for q (n,) [rad or m].
+        """Return the Pinocchio configuration (nq,) of the model that the robot was made from, or of `model`, for q (n,) [rad or m].
 
-        Joints off the path keep their values in `rest`, by default the robot's. A model given here may also have joints that the
-        robot lacks (these stay neutral), joints of several DOF, and mimic joints as independent ones. Raises JointNotFound.
+        Joints off the path get their values from `rest` (nq,), by default those of the robot. `model` may have further joints,
+        which stay neutral, joints with several degrees of freedom, and mimic joints as independent ones. Raises JointNotFound.
         """
         if model is not None:
             return configuration_in(model, self, self.check_q(q), rest)
@@ -381,11 +381,11 @@ class Joints(ReadOnly):
         return full
 
     def from_pinocchio(*_: Any) -> Any:
-        """Raise an error, as this method is now called `q_from_pinocchio`."""
+        """Raise AttributeError, whose text says that this method is now called `q_from_pinocchio`."""
         raise AttributeError("from_pinocchio is now q_from_pinocchio(q_full); ik.Robot(model) wraps a pin.Model")
 
     def q_from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
-        """Return q (n,) [rad or m] of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
+        """Return q (n,) [rad or m] for a Pinocchio configuration (nq,); the angle of a continuous joint is in -pi..pi."""
         full = self._full(q_full, "a full configuration")
         idx, circle = self._path.idx_q, self._path.circle
         q = full[idx].copy()

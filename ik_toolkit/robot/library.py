@@ -19,8 +19,8 @@ from .formats.urdf import is_text
 from .packages import MANIFESTS
 
 DATA_PACKAGE = "example-robot-data"
-DESCRIBED = "robot_descriptions:"  # Names of the package robot_descriptions begin with this.
-MENAGERIE = "mujoco-menagerie:"  # Folder names of the MuJoCo Menagerie begin with this.
+DESCRIBED = "robot_descriptions:"  # Robot names that begin with this are of the package robot_descriptions.
+MENAGERIE = "mujoco-menagerie:"  # Robot names that begin with this are folders of the MuJoCo Menagerie.
 # environment variable with the path of a copy of the MuJoCo Menagerie; the package mujoco-menagerie reads it too
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
@@ -29,11 +29,11 @@ MENAGERIE_ROOT = "MENAGERIE_ROOT"
 class RobotEntry:
     """The library's entry for a robot name: the description to read, its tips and its home.
 
-    `source` is what to read: `path`, or the URDF text if path is None. `tip` is None if several exist or none is known;
-    `tips` are all the known ones. `home` (n,) [rad or m] is in the order of the joints from base to tip (for several
-    tips the union of their paths, in the order of `tips`), or None. Packages are searched in `package_dirs`. `paper`,
-    `table` and `description` say where the numbers come from. `sample` is a pose that the paper computes: its columns n, o, a
-    and p [m], as printed, and their source `from`. `xacro_args` are values of a xacro file's arguments.
+    `source` is what to read: `path`, or the URDF text if path is None. `tips` are all the known tips. `home` (n,) [rad or m] is in
+    the order of the joints from base to tip (for several tips of all their paths, in the order of `tips`), or None. ROS packages
+    are searched in `package_dirs`. `paper`, `table` and `description` say where the dimensions come from. `sample` is a pose that
+    the paper computes: the columns n, o, a and p [m] of its matrix, as printed, and under `from` the place in the paper.
+    `xacro_args` are values of a xacro file's arguments.
     """
 
     name: str
@@ -52,11 +52,11 @@ class RobotEntry:
 
     @property
     def tip(self) -> str | None:
-        """The tip to use when none is asked for: the only one, or None."""
+        """The name of the tip if exactly one is known, else None."""
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# the arms of example-robot-data 6 that have a fixed base: file below robots/ and tips, by name
+# by name: the URDF file, below robots/, and the tips of the arms of example-robot-data 6 that have a fixed base
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
@@ -86,7 +86,7 @@ DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def urdf_folder() -> Path:
-    """Return the folder of the shipped robots: inside the installed package, or beside it in a checkout."""
+    """Return the folder with the descriptions of the shipped robots: in the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "urdf", package.parent / "urdf"):
         if (folder / "robots.toml").is_file():
@@ -128,9 +128,9 @@ def _data_root() -> Path | None:
 
 
 def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
-    """Return URDF path and package_dirs of a robot of the example-robot-data wheel (version 6, which has data only).
+    """Return the URDF path and the package folders of a robot of the package example-robot-data (version 6, which has data only).
 
-    Raises RobotNotFound for an unknown name, with a near match and all names, MissingExtra without the wheel.
+    Raises RobotNotFound for an unknown name, which names a similar one and all others, and MissingExtra without the package.
     """
     if name not in DATA_ROBOTS and name not in data_files():
         raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
@@ -145,9 +145,9 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
 
 @functools.cache
 def data_files() -> dict[str, Path]:
-    """Map names to the files of example-robot-data that are not in DATA_ROBOTS.
+    """Return by name the URDF files of the package example-robot-data that are not among the arms with a known tip (DATA_ROBOTS).
 
-    A name is the file's; if two files have the same name, the folder's name precedes it.
+    The name is that of the file; where two files have the same name, it is preceded by that of the folder.
     """
     root = _data_root()
     if root is None:
@@ -165,7 +165,7 @@ def data_files() -> dict[str, Path]:
 
 
 def list_robots(everything: bool = False) -> list[RobotEntry]:
-    """List the shipped robots, then the arms of example-robot-data if it is installed, or with `everything` all of its files."""
+    """Return the library entries of the shipped robots and, if installed, of the arms (or all files) of example-robot-data."""
     data = [find(name) for name in (*DATA_ROBOTS, *(data_files() if everything else ()))] if _data_root() else []
     return [*shipped_robots().values(), *data]
 
@@ -176,7 +176,7 @@ def _fetching(name: str, package: str, command: str) -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             yield
-    except Exception as error:  # A download by git can raise any exception.
+    except Exception as error:  # Importing a description downloads it by git, which can raise an exception of any type.
         last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
         said = last.strip().removeprefix("stderr: ").strip("'")[:200]
         raise RobotNotFound(
@@ -248,9 +248,9 @@ def _only_model(source: str | Path) -> Path | None:
 
 
 def find(source: str | Path) -> RobotEntry:
-    """Find the entry of a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
+    """Return the entry for the name of a shipped robot, a file path (relative, absolute, ~), URDF text, or a data package's name.
 
-    Raises RobotNotFound with a near match and the existing names, MissingExtra.
+    Raises RobotNotFound, which names a similar robot and all others, and MissingExtra if the package with the robot is missing.
     """
     if not isinstance(source, str | Path):
         given = type(source).__name__

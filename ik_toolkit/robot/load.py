@@ -1,7 +1,7 @@
 """Reads anything a user may name as a robot into its URDF text and Pinocchio model."""
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +11,10 @@ import pinocchio as pin
 from ..errors import InvalidOption, ModelError, RobotNotFound
 from ..text import figure
 from .base import carried
-from .constraints import Constraint
-from .formats.mjcf import mjcf_to_urdf
-from .formats.srdf import Srdf, srdf_of
-from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read, source_text
+from .formats.description import Urdf
+from .formats.mjcf import read_mjcf
+from .formats.srdf import srdf_of
+from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
 from .formats.xacro import expand, expanded, has_macros
@@ -24,21 +24,48 @@ from .tips import guess_tip
 LOG = logging.getLogger("ik_toolkit")
 
 
-class Urdf(NamedTuple):
-    """The URDF text of a source.
+class Format(NamedTuple):
+    """A description format: what messages call it, and how it is read.
 
-    Relative paths in it start from the folder of `file`. `notes`, `srdf` and `constraints` come from an MJCF file
-    (see `mjcf.Read`). `made` tells whether the text was made from xacro or MJCF, so that line numbers are not those of
-    the file.
+    `read` takes the path (or the XML text), the folders of ROS packages and the values of xacro arguments. `xml` tells that the
+    format is recognised by the contents of a file rather than by its suffix, `xacro_args` that it has such arguments.
     """
 
-    text: str
-    file: Path | None
-    package_dirs: list[Path]
-    notes: tuple[str, ...] = ()
-    srdf: Srdf = Srdf()
-    constraints: tuple[Constraint, ...] = ()
-    made: bool = False
+    name: str
+    read: Callable[[str | Path, Sequence[Path], Mapping[str, Any]], Urdf]
+    xml: bool = False
+    xacro_args: bool = False
+
+
+def _read_urdf(source: str | Path, *_: Any) -> Urdf:
+    return Urdf(safe_read(source), made=False)
+
+
+def _read_xacro(source: str | Path, folders: Sequence[Path], arguments: Mapping[str, Any]) -> Urdf:
+    """Expand a xacro file; text with macros, which may need other files, is refused by `safe_read`."""
+    return Urdf(expand(source, folders, arguments) if isinstance(source, Path) else safe_read(source))
+
+
+FORMATS = {
+    ".urdf": Format("a plain URDF", _read_urdf, xml=True),
+    ".xacro": Format("xacro", _read_xacro, xml=True, xacro_args=True),
+    ".mjcf": Format("MJCF", read_mjcf, xml=True),
+}
+
+
+def _format_of(entry: RobotEntry) -> Format:
+    """Return the format of a description, by its suffix, or for XML by its contents. Raises ModelError."""
+    suffix = entry.path.suffix if entry.path else ""
+    if suffix in FORMATS and not FORMATS[suffix].xml:
+        return FORMATS[suffix]
+    try:
+        text = safe_read(entry.source)
+    except HasMacros:
+        return FORMATS[".xacro"]
+    except IsMjcf:
+        return FORMATS[".mjcf"]
+    # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
+    return FORMATS[".xacro" if suffix == ".xacro" and "<xacro:" in text else ".urdf"]
 
 
 def urdf_of(
@@ -47,31 +74,16 @@ def urdf_of(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> Urdf:
-    """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
+    """Read the description of a library entry, of any format in FORMATS, as URDF. Raises what `Robot.load` raises.
 
-    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that they are no error for a plain URDF.
+    elsewhere: whether another file (the SRDF) uses the xacro arguments too, so that a format without them does not refuse them.
     """
-    folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
-    try:
-        text = safe_read(entry.source)
-        if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
-            # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
-            raise HasMacros("it calls macros")
-        if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is a plain URDF")
-    except HasMacros:
-        if entry.path is None:
-            raise
-        text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
-        return Urdf(text, entry.path, folders, made=True)
-    except IsMjcf:
-        if xacro_args and not elsewhere:
-            raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is MJCF") from None
-        flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(
-            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.srdf, flat.constraints, made=True
-        )
-    return Urdf(text, entry.path, folders)
+    folders = tuple(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
+    form = _format_of(entry)
+    if xacro_args and not (elsewhere or form.xacro_args):
+        raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is {form.name}")
+    read = form.read(entry.source, folders, {**entry.xacro_args, **(xacro_args or {})})
+    return read._replace(text=safe_read(read.text), package_dirs=folders)
 
 
 def read_source(
@@ -80,23 +92,23 @@ def read_source(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a robot; return its library entry, and the model, name, text and folders that `Robot` needs.
+    """Read a robot by name, path or text; return its library entry, and arguments for `Robot` with `own`, the SRDF of MJCF.
 
     Raises what `Robot.load` raises.
     """
     entry = find(source)
-    text, file, folders, notes, own, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
-    notes = (*notes, *require_loadable(text, lines=not written))
-    model = built_model(text, entry.name)
-    name = entry.name if file else model.name
+    read = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    notes = (*read.notes, *require_loadable(read.text, lines=not read.made))
+    model = built_model(read.text, entry.name)
+    name = entry.name if entry.path else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
-    made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "own": own, "constraints": constraints}
+    made = {"model": model, "name": name, "urdf": read.text, "path": entry.path, "package_dirs": read.package_dirs}
+    return entry, made | {"notes": notes, "own": read.srdf, "constraints": read.constraints}
 
 
 def built_model(text: str, name: str = "the URDF") -> pin.Model:
-    """Return Pinocchio's model of a URDF text. Raises ModelError."""
+    """Build a Pinocchio model from URDF text; `name` is for messages. Raises ModelError."""
     try:
         return build_model(text)
     except Exception as error:
@@ -110,16 +122,19 @@ def read_both(
     srdf: Any,
     group: str | None,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a source as `read_source` does, and its SRDF (see `srdf_of`), which may be named as a xacro file."""
+    """Read a robot by name, path or text, and its SRDF; return its library entry and a dict of arguments for `Robot`.
+
+    The arguments are those of `Robot.load`. Raises what `Robot.load` raises.
+    """
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     given = expanded(srdf, made["package_dirs"], xacro_args)
     return entry, made | {"srdf": srdf_of(given, made["model"], entry.path, made.pop("own"), group)}
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
-    """Return model, collision shapes and visual shapes (or None), given one by one, as a tuple or as a RobotWrapper.
+    """Return a Pinocchio model, its collision and its visual shapes (or None), given one by one, as a tuple or as a RobotWrapper.
 
-    If none is given, the model is built from the URDF text, if there is one. Raises ModelError.
+    If no model is given, it is built from the text `urdf`. Raises ModelError.
     """
     own: list[Any] = [None, None]
     if isinstance(model, pin.RobotWrapper):
@@ -160,10 +175,10 @@ def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
 def default_base(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
+    """Return the name of the base frame for `Robot.load` (None: the root): the given one, or else that of the library entry.
 
-    The last is used if the tip is below a floating or planar joint and no base_limits are given. This joint is then locked, and a
-    note about that is added to `made`, the arguments for `Robot`.
+    If the tip is below a floating or planar joint and no base_limits are given, it is the link that this joint moves; the joint is
+    then held still, which is noted in `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -177,9 +192,9 @@ def default_base(
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:
-    """Return folders from a list, or from a single name (which would otherwise be read letter by letter).
+    """Return the option package_dirs, a list of folders or a single one, as a list of paths.
 
-    Raises InvalidOption.
+    Raises InvalidOption if one of them does not exist.
     """
     try:
         folders = [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
@@ -198,17 +213,20 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
     weigh grams per metre.
 
     Args:
-        model: of the robot.
-        joints: ids of the joints from base to tip; the first may be far from the base, for example if the base is a map frame.
-        tip: id of the tip's frame.
-        strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
+        model: The Pinocchio model of the robot.
+        joints: Ids of the joints from base to tip. The distance from base to first joint does not count, as the base may be a map.
+        tip: Id of the tip's frame.
+        strokes: (2, k) Lower and upper limits [m] of the prismatic joints, without those of a moving base.
+
+    Returns:
+        A list with the note, or an empty one.
     """
     places = [model.jointPlacements[j] for j in joints[1:]] + [model.frames[tip].placement]
     # A stroke of kilometres means "unlimited", as for a base that drives, so it is not counted as a length.
     travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
-    if not (long > 50.0 and mass < 100.0 * long):  # length [m], mass per length [kg/m]
+    if not (long > 50.0 and mass < 100.0 * long):  # more than 50 m, and less than 100 kg per metre
         return []
     weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [

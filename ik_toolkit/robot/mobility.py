@@ -8,8 +8,8 @@ import numpy as np
 from ..text import angle as in_words
 from ..text import figure, how_many, length
 
-SAMPLES = 24  # number of random configurations; a motion that is possible in none of them counts as impossible
-# Singular values below this share of the largest count as 0, because axes in files have five or six digits.
+SAMPLES = 24  # A motion that is possible at none of this many random configurations counts as impossible.
+# A singular value below this share of the largest counts as 0, because joint axes in files have five or six digits.
 ROUNDING = 1e-5
 DOUBTLESS = 1e-3  # A target is called impossible only if it is off by more than this [rad, or share of the reach].
 NAMES = "xyz"
@@ -17,17 +17,17 @@ NAMES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """Freedoms of a tip, from the Jacobians and poses of random configurations.
+    """Which motions a tip can make at all, found from its Jacobians and poses at random configurations.
 
     Attributes:
         joints: moving joints on the way to the tip.
-        directions: number of independent components of the tip's twist (the generic rank of the Jacobian).
-        turns: dimension of its rotations: 3 any, 1 about one fixed axis, 0 none.
-        moves: dimension of its positions: 3 any, 2 a plane, 1 a line, 0 a point.
-        axis: the axis (3,) of all rotations, in base axes, and tip_axis: the same axis (3,) in tip axes; None unless turns is 1.
-        normals: directions (3 - moves, 3) in base axes along which the tip's position never changes, and heights (3 - moves,) [m]:
-            its constant coordinates along them.
-        rotation: the tip's rotation (3, 3) where it never changes, else None.
+        directions: rank of the Jacobian of the tip at a random configuration, 0 to 6.
+        turns: dimension of the rotations of the tip: 3 any, 1 about one fixed axis, 0 none.
+        moves: dimension of the positions of the tip: 3 any, 2 a plane, 1 a line, 0 a point.
+        axis: if turns is 1, the fixed axis (3,) of all rotations in base axes, else None; tip_axis: the same in tip axes.
+        normals: unit vectors (3 - moves, 3) in base axes along which the position of the tip never changes, and heights
+            (3 - moves,) [m]: the constant coordinates of the position along them.
+        rotation: the rotation (3, 3) of the tip if it never changes, else None.
         reach: Upper bound [m] of the arm's reach.
     """
 
@@ -45,9 +45,10 @@ class Mobility:
     def never(
         self, T: np.ndarray, tolerances: tuple[float, float], free: Any = None, of_base: bool = False
     ) -> list[str]:
-        """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad].
+        """Return sentences, if any, on why no configuration brings the tip to a target: a pose T (4, 4) or position (3,) [m].
 
-        free: axis (3,) about which the rotation is free, of the tip or (of_base) of the base, or None.
+        Tolerances are in [m] and [rad]. `free` is the axis (3,) about which the target leaves the rotation free, or None; it is in
+        tip axes, or in base axes if `of_base`.
         """
         position, angle = (
             max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
@@ -114,7 +115,7 @@ class Mobility:
 
 
 def named(axis: np.ndarray) -> str:
-    """Return an axis (3,) as text: 'z', '-z' or its numbers."""
+    """Return a unit vector (3,) as text: 'x', '-z' and the like for a coordinate axis, else its three numbers."""
     k = int(np.abs(axis).argmax())
     if abs(abs(axis[k]) - 1.0) < 1e-6:
         return ("-" if axis[k] < 0.0 else "") + NAMES[k]
@@ -122,7 +123,7 @@ def named(axis: np.ndarray) -> str:
 
 
 def mobility_of(arm: Any) -> Mobility:
-    """Compute the mobility of a robot with one tip from random configurations."""
+    """Return the Mobility (motions that the tip can make at all) of a Robot, from Jacobians and poses at random configurations."""
     rng = np.random.default_rng(0)
     jacobians, poses = [], []
     for q in arm.random_q(rng, SAMPLES):
@@ -141,7 +142,7 @@ def mobility_of(arm: Any) -> Mobility:
     tip_axis = None
     if axis is not None:
         tip_axis = T[0, :3, :3].T @ axis
-        # The signs are such that the largest component of the tip's axis is positive.
+        # Of both senses of the axis, the one with a positive largest component in tip axes is used.
         if tip_axis[np.abs(tip_axis).argmax()] < 0.0:
             axis, tip_axis = -axis, -tip_axis
     normals = ways[:, moves:].T

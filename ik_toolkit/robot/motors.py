@@ -10,7 +10,7 @@ from ..errors import InvalidConfiguration, InvalidOption, JointNotFound, floats,
 from ..validate import number
 from .joints import Joints
 
-SUFFIX = ".pos"  # LeRobot's observations and actions have "shoulder_pan.pos" for the joint shoulder_pan
+SUFFIX = ".pos"  # The LeRobot library calls the position of joint shoulder_pan "shoulder_pan.pos".
 
 
 class MotorMap:
@@ -18,8 +18,8 @@ class MotorMap:
 
     Args:
         robot: The Robot or Tree whose joints the motors move.
-        sign: {joint: 1 or -1} whether the motor turns with the joint or against it; 1 where it is left out.
-        offset: {joint: value} joint value [rad or m] where the motor is at 0; 0 where it is left out.
+        sign: By joint name, 1 if the motor turns with the joint, -1 if against it; 1 for a joint left out.
+        offset: By joint name, the joint value [rad or m] at motor position 0; 0 for a joint left out.
         degrees: Whether motor positions of revolute joints are in degrees; `offset` stays in radians.
 
     Raises:
@@ -63,10 +63,10 @@ class MotorMap:
         )
 
     def to_q(self, motors: Any) -> np.ndarray:
-        """Return joint values (n,) [rad or m] for motor positions: (n,) numbers, or a dict by joint (also as "JOINT.pos").
+        """Return joint values (n,) [rad or m] for motor positions, given as (n,) or as a dict with the keys JOINT or "JOINT.pos".
 
-        For (N, n), or a dict of (N,), as `to_motors` returns, they are (N, n). A dict may have other entries, such as a gripper's;
-        they are ignored. Raises InvalidConfiguration.
+        For N sets of positions, given as (N, n) or as a dict of arrays (N,), the result is (N, n). Other keys of a dict, such as
+        that of a gripper, are ignored. Raises InvalidConfiguration.
         """
         if isinstance(motors, Mapping):
             named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()} | dict(motors)
@@ -98,7 +98,7 @@ class MotorMap:
         return self.sign * values * self.unit + self.offset
 
     def to_motors(self, q: Any) -> dict[str, Any]:
-        """Return motor positions by joint name: numbers for joint values q (n,) [rad or m], arrays (N,) for q (N, n).
+        """Return a dict of motor positions by joint name for joint values q (n,) [rad or m]; for q (N, n) each is an array (N,).
 
         Raises InvalidConfiguration.
         """

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InvalidOption, JointNotFound, floats
 from .configuration import near_joint
 
-KEPT = 32  # number of variants with narrower limits that a robot caches, for loops with the same limits
+KEPT = 32  # A robot caches this many copies with narrower limits, because calls in a loop use the same limits.
 ASKED = (
     "limits must be True, False, a dict from joint names to (lower, upper) [rad or m] (None: as it is), or a pair of arrays "
     "(lower, upper) with one value per joint"
@@ -16,7 +16,7 @@ ASKED = (
 
 
 def narrowed(robot: Any, limits: Any) -> Any:
-    """Return the variant of a robot or tree with narrower limits, the same one each time (see `Joints.narrowed`)."""
+    """Return a copy of a Robot or Tree with narrower limits, as `Joints.narrowed` takes them; the same copy for the same limits."""
     kept = robot.memo.setdefault("narrowed", {})
     try:
         if isinstance(limits, Mapping):
@@ -38,9 +38,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
 def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
     """Return the robot with limits lower, upper (n,): itself if they are its own, a cached variant, or a new one."""
     _check(robot, lower, upper)
-    if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
-        return robot
-    for one in list(kept.values()):
+    for one in (robot, *kept.values()):
         if np.array_equal(lower, one.lower) and np.array_equal(upper, one.upper):
             return one
     made = robot._narrowed(dict(zip(robot.joint_names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True)))
@@ -49,7 +47,7 @@ def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, A
 
 
 def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:
-    """Return the robot to solve for, and whether joints stay inside its limits, as the option `limits` asks."""
+    """Return the robot to solve for and whether its limits hold, by the option `limits`: True, False or narrower limits."""
     if isinstance(limits, bool | np.bool_):
         return robot, bool(limits)
     return narrowed(robot, limits), True
@@ -98,7 +96,7 @@ def _check(robot: Any, lower: np.ndarray, upper: np.ndarray) -> None:
         raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {asked[0]:g} to {asked[1]:g}")
     if asked[0] > asked[1]:
         raise InvalidOption(f"limits of joint '{joint}' are reversed: lower {asked[0]:g} is above upper {asked[1]:g}")
-    # angles are said in degrees, too, because the caller may have given them so in a shell
+    # The message has angles in degrees, too, because the user may have given them in degrees in a shell.
     said = "{0:g} to {1:g} m" if robot.joint_kinds[i] == "prismatic" else "{0:g} to {1:g} rad ({2:g} to {3:g} deg)"
     wide, most = (said.format(*ends, *np.degrees(ends)) for ends in (asked, own))
     raise InvalidOption(f"limits of joint '{joint}' can only be narrowed: {wide} reaches beyond the robot's own {most}")

@@ -8,9 +8,10 @@ from pathlib import Path
 
 MANIFESTS = ("package.xml", "manifest.xml")  # A folder with one of these files is a ROS package.
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
-LEVELS = 8  # Number of parent folders of a file that are searched for neighbouring packages.
-INSIDE, FOLDERS = 3, 2_000  # Depth below a given folder, and number of folders, that are searched for a manifest.
-DATA = {  # folders with ROS packages, by Python distribution
+LEVELS = 8  # Packages are searched in this many of the folders above the file that names them, and beside those.
+# Below a given folder so many levels, and so many folders in all, are searched for packages.
+INSIDE, FOLDERS = 3, 2_000
+DATA = {  # by Python distribution: its folder with ROS packages
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
 }
@@ -22,11 +23,11 @@ def find_package(
     package_dirs: Iterable[str | Path] = (),
     environment: Mapping[str, str] = os.environ,
 ) -> Path | None:
-    """Find the folder of a ROS package, with symbolic links resolved, or return None.
+    """Return the folder of the ROS package `name`, with symbolic links resolved, or None if it is not found.
 
-    The name of a package is that in its package.xml, or the folder's. These are searched in turn: package_dirs (packages, or
-    folders that contain some), the parent folders of the referring file `start` and the packages next to them, ROS_PACKAGE_PATH,
-    AMENT_PREFIX_PATH, and data packages installed by pip.
+    The name of a package is that in its package.xml, or else that of its folder. The search goes through package_dirs (packages, or
+    folders that contain some), the parent folders of the file `start` that names the package and the folders next to them, the
+    variables ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and data packages installed by pip.
     """
     if not NAME.fullmatch(name) or set(name) == {"."}:
         return None
@@ -42,7 +43,7 @@ def _places(
     """Yield candidate folders, best first, and whether each counts as a package without a manifest."""
     given = [Path(folder).expanduser() for folder in package_dirs]
     for folder in given:
-        # A symbolic link that leads out of the folder counts as a package only if it has a manifest.
+        # A symbolic link that leads out of the folder counts as a package only if it has one of MANIFESTS.
         yield folder / name, (folder / name).resolve().is_relative_to(folder.resolve())
         if folder.name == name:
             yield folder, True
@@ -61,7 +62,7 @@ def _places(
             yield root / name, False
             yield from ((found, False) for found in sorted(root.glob(f"*/{name}")))
             yield from ((found, True) for found in _below(root, INSIDE) if _named(found, name))
-    import importlib.metadata  # imported here because the import takes longer than a search
+    import importlib.metadata  # Importing this takes longer than a search, and most searches end before.
 
     for distribution, folders in DATA.items():
         try:

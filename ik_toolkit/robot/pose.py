@@ -13,7 +13,7 @@ from ..kernel.checks import RIGID
 from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
-LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
+LAST = (0.0, 0.0, 0.0, 1.0)  # the last row of every homogeneous transform
 # A rotation matrix is projected to the nearest rotation if its singular values differ from 1 by at most this.
 PROJECT_WITHIN = 1e-2
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -56,7 +56,7 @@ def _unit(value: Any, name: str) -> np.ndarray:
 def _near_unit(quat: Any, name: str) -> np.ndarray:
     """Return a quaternion (4,) of length 1 within PROJECT_WITHIN; a warning names one that has lost more than its last digits."""
     q = finite_numbers(quat, 4, name)
-    length = math.hypot(*q.tolist())  # numpy's norm would overflow for 1e200
+    length = math.hypot(*q.tolist())  # np.linalg.norm would square the numbers, which overflows for 1e200.
     if not abs(length - 1.0) <= PROJECT_WITHIN:
         mend = f"normalise it if it is right otherwise, in the order {', '.join(name[-4:])}"
         raise InvalidTarget(f"{name} has length {length:.4g}: not a rotation, which has length 1; {mend}")
@@ -68,9 +68,9 @@ def _near_unit(quat: Any, name: str) -> np.ndarray:
 
 
 def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
-    """Return the axis (3,) that the text 'x', 'y', 'z', '-x', '-y' or '-z' names, and other values unchanged.
+    """Return the unit vector (3,) for the text 'x', 'y', 'z', '-x', '-y' or '-z'; return a value that is no text unchanged.
 
-    Raises `error` for any other text; name: name of the argument, for the message.
+    For any other text it raises an exception of the class `error`; `name` is that of the argument, for the message.
     """
     if not isinstance(value, str):
         return value
@@ -213,10 +213,10 @@ def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
 
 
 def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
-    """Compute the error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the rotation vector [rad].
+    """Return the error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then a rotation vector [rad].
 
-    It is along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' ('base' for a position, which has no
-    axes). The rotation vector r is that of the rotation exp(r) T = target; for a position, which has none, it is NaN.
+    Both are along the axes of `frame`: 'base', 'tip' or 'target' (a position has no axes: 'base'). The rotation vector r solves
+    exp(r) R = R_target in base axes; for a position it is NaN.
     """
     import pinocchio as pin
 
@@ -239,19 +239,20 @@ def errors(
     free_turn: Sequence[float] | None = None,
     frame: str = "base",
 ) -> tuple[np.ndarray, float, float | None]:
-    """Compute the error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts.
+    """Return the error of a tip pose T (4, 4) from a target (4, 4) or (3,) as raw numbers (6,), and two norms of what counts of it.
 
-    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest
-    rotation that aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its
-    mask weight (6,), along the axes of `frame` (see `raw_error`). The norms are in [m] and [rad]; the latter is None
-    for a position.
+    The raw error is target - T [m], then the rotation vector [rad] from T to the target. If the axis free_turn (3,) of the tip is
+    given, rotation about it does not count: the rotation vector is then that of the smallest rotation that aligns this axis with
+    that of the target. For the norms each error is reduced by its tolerance `slack` (6,) [m, rad] and multiplied by its weight
+    `mask` (6,), along the axes of `frame` ('base', 'tip' or 'target'). The norms are in [m] and [rad]; the latter is None for a
+    position.
     """
     raw = raw_error(T, target, frame)
     e = raw.copy()
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
         across, cosine = np.cross(now, wanted), float(now @ wanted)
-        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # For 180 degrees any perpendicular axis will do.
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # For opposite axes any perpendicular axis will do.
             across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
             angle = math.pi
         else:
@@ -272,10 +273,10 @@ def _near(position: np.ndarray) -> np.ndarray:
 
 
 def as_matrix(pose: Any, of: str = "target", reach: float = math.inf) -> np.ndarray:
-    """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
+    """Return a pose given as (4, 4), as pin.SE3 or as a position (3,) (then with the identity rotation) as an array (4, 4).
 
-    of: name of the thing whose pose is given, used in error messages. reach: the arm's reach [m]; a pose many reaches away is
-    reported in the log. Raises InvalidTarget.
+    of: what has this pose, for messages. reach: the reach of the arm [m]; a pose many reaches away gives a warning in the log.
+    Raises InvalidTarget.
     """
     T = corrected(pose, of)
     doubt_lengths(f"the pose of a {of}", float(np.abs(T if T.ndim == 1 else T[:3, 3]).max()), reach)
@@ -317,17 +318,17 @@ def as_array(target: Any, base: str = "") -> Any:
 
 
 def row_hint(shape: tuple[int, ...]) -> str:
-    """Return the end of an error message about rows of 6 or 7 numbers, which says how to give such a pose; '' for other shapes."""
+    """Return the last words of an error about a pose given as 6 or 7 numbers: how to give it instead; '' for other shapes."""
     given = {6: "rpy", 7: "quat_xyzw"}.get(shape[-1] if shape else 0)
     return f"; the numbers of a row go into ik.pose(xyz=, {given}=)" if given else ""
 
 
 def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.ndarray, str]:
-    """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
+    """Validate a target; return it as float64 (4, 4) or (3,), and a sentence on the correction made, or ''.
 
     Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
-    must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
-    says so. of: name of the thing whose pose is given, used in error messages. Raises InvalidTarget if the target is none of these.
+    must be `base` where both are given. A rotation matrix whose singular values are within 1e-2 of 1 is projected to the nearest
+    rotation, and the sentence says so. of: what has this pose, for messages. Raises InvalidTarget if the target is none of these.
     """
     needed = f"{'a target' if of == 'target' else f'the pose of a {of}'} must be {FORMS}"
     T = floats(as_array(target, base), needed, InvalidTarget)
@@ -361,7 +362,7 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
 
 
 def corrected(target: Any, of: str = "target") -> np.ndarray:
-    """Return the target that `check_target` returns, and write its notice to the log "ik_toolkit"."""
+    """Validate a target (pose, position or ROS message); return it as (4, 4) or (3,), and log a correction that was made to it."""
     T, notice = check_target(target, of=of)
     if notice:
         logging.getLogger("ik_toolkit").warning("%s", notice)

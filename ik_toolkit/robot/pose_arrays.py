@@ -23,12 +23,12 @@ ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x,
 
 
 def short(text: str) -> str:
-    """Shorten a text from a file for a message."""
+    """Cut a text from a file to 80 characters, for a message."""
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 def row_numbers(word: str, numbers: Sequence[int]) -> str:
-    """Return numbers in words, as in 'line 4' or 'lines 4, 7 and 9': the first five, and how many more there are."""
+    """Return row or line numbers as text after `word`, such as 'line 4' or 'lines 4, 7 and 9'; beyond five they are counted."""
     texts = [str(number) for number in numbers[:5]]
     texts += [f"{len(numbers) - 5} more"] if len(numbers) > 5 else []
     return f"{word} {texts[0]}" if len(texts) == 1 else f"{word}s {', '.join(texts[:-1])} and {texts[-1]}"
@@ -50,7 +50,9 @@ def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
         )
         yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(path):  # numpy's own error would suggest unpickling the file, which is unsafe.
+    if not zipfile.is_zipfile(
+        path
+    ):  # np.load would say in its error that the file could be unpickled, which is unsafe.
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
@@ -70,7 +72,7 @@ def _array(path: Path, name: str, value: Any, base: str) -> np.ndarray:
         rows = [_as_numbers(_of_message(path, k, row, base)) for k, row in enumerate(value)]
         shape = next((row.shape for row in rows if row is not None), ())
         wrong = [k for k, row in enumerate(rows) if row is None or row.shape != shape]
-        if not wrong:  # all rows are ROS messages, or numbers, of one shape
+        if not wrong:  # Every row gave an array, and all have the same shape.
             return np.array(rows)
         more = f"; so {'are' if wrong[2:] else 'is'} {row_numbers('row', wrong[1:])}" if wrong[1:] else ""
         many = f" {shape[0]}" if len(shape) == 1 else ""
@@ -89,7 +91,9 @@ def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
 
 def _as_numbers(value: Any) -> np.ndarray | None:
     """Return lists of numbers as an array of floats; None if they are anything else."""
-    with suppress(TypeError, ValueError, OverflowError):  # `floats` of text.py would be slow here.
+    with suppress(
+        TypeError, ValueError, OverflowError
+    ):  # The checks of `floats` in errors.py would be slow for many rows.
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
     return None
@@ -106,7 +110,10 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
 
 
 def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, np.ndarray]:
-    """Read an NPZ or JSON file: return t (N,) [s] (None unless `times`) and poses (N, 4, 4) or positions (N, 3)."""
+    """Read targets from an NPZ or JSON file: return times t (N,) [s] (None unless `times`) and poses (N, 4, 4) or positions (N, 3).
+
+    `base` is the frame in which ROS messages in the file must be given, '' for any. Raises InvalidTarget.
+    """
     with _arrays(path, ("targets", "t", "xyz", *ORDERS), base) as file:
         if "targets" in file and not times:
             targets = file["targets"]
@@ -143,7 +150,7 @@ def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, 
 
 
 def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
-    """Read arrays of numbers by their names from an NPZ file. Raises InvalidTarget."""
+    """Return the arrays called `names` of an NPZ file, as float64, in this order. Raises InvalidTarget if one is missing."""
     try:
         with _arrays(path, names, "") as file:
             missing = [name for name in names if name not in file]
@@ -157,7 +164,10 @@ def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
 
 
 def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: str) -> None:
-    """Raise InvalidTarget, which names the row by its number, unless times t (N,) [s] increase."""
+    """Raise InvalidTarget unless the times t (N,) [s] increase.
+
+    The message calls the file `name` and the faulty row `word` with its number out of `numbers` (N,).
+    """
     back = np.flatnonzero(~(np.diff(t) > 0.0))
     if len(back):
         i = int(back[0])
@@ -168,7 +178,11 @@ def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: s
 
 
 def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.ndarray]:
-    """Read the targets (N, 4, 4) or (N, 3) [unit of the file] of each tip from an NPZ or JSON file."""
+    """Read targets of several tips from an NPZ or JSON file: return poses (N, 4, 4) or positions (N, 3), by tip.
+
+    Lengths stay in the unit of the file. `base` is the frame in which ROS messages in the file must be given, '' for any. Raises
+    InvalidTarget.
+    """
     with _arrays(path, ("targets", "tips", *tips), base) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
@@ -205,7 +219,11 @@ def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.
 def quaternion_poses(
     xyz: np.ndarray, quat: np.ndarray, lines: Sequence[int], name: str, word: str, prefix: str = ""
 ) -> np.ndarray:
-    """Make poses (m, 4, 4) of positions xyz (m, 3) and quaternions x, y, z, w (m, 4)."""
+    """Make poses (m, 4, 4) of positions xyz (m, 3) and quaternions x, y, z, w (m, 4).
+
+    Raises InvalidTarget for a quaternion whose length differs from 1 by 1 % or more. The message calls the file `name`, the row
+    `word` with its number out of `lines` (m,), and the columns qx, qy, qz, qw after `prefix`.
+    """
     length = np.linalg.norm(quat, axis=1)
     bad = ~(np.abs(length - 1.0) < 1e-2)
     if bad.any():

@@ -30,14 +30,14 @@ from ..text import decimal, how_many
 from .pose_arrays import QUAT, quaternion_poses, read_arrays, read_tip_arrays, require_increasing, row_numbers, short
 from .rotation import euler_axes, euler_matrix, rotation_columns
 
-LINES = 16384  # number of rows read at a time
+LINES = 16384  # A CSV file is read in blocks of this many rows, to bound the memory.
 POSITION, RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
-# Column names of angles: for rotations about the axes x, y and z, or for the first, second and third rotation.
+# Names of columns with angles about named axes (rx is about x), and with angles of the first, second and third rotation.
 ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")
 ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # length of each unit [m]
 MARKS = (",", ";", "\t")  # characters that may separate columns
-LONGEST_LINE = 2**20  # largest number of characters in a line
+LONGEST_LINE = 2**20  # A line with more characters than this is refused.
 
 
 class Convention(NamedTuple):
@@ -60,7 +60,7 @@ class Convention(NamedTuple):
 
 
 class PoseRows(NamedTuple):
-    """A part of a file: t (m,) [s] or None, and poses (m, 4, 4) or positions (m, 3), for several tips a dict of these by tip."""
+    """m rows of a file of poses: times t (m,) [s] or None, and poses (m, 4, 4) or positions (m, 3), or a dict of these by tip."""
 
     t: np.ndarray | None
     poses: Any
@@ -80,8 +80,8 @@ def read_poses(
 
     what: name of the contents, for messages. times: whether the file must have times t. given: units and angles of the
     file. tips: names of the tips whose poses the file holds; without names it holds poses of one tip. base: frame in which
-    ROS messages in it must be given, "" for any. besides: other columns, such as joints. Raises
-    InvalidTarget, which names the line (for a CSV also while blocks are read), and InvalidOption.
+    ROS messages in it must be given, "" for any. besides: names of columns that are not read here, such as joints. Raises
+    InvalidTarget, which names the line (for a CSV file also while its blocks are read), and InvalidOption.
     """
     given = given.check()
     scale = LENGTHS[given.length_unit]
@@ -127,9 +127,9 @@ def read_poses(
 
 
 def read_columns(path: Path, names: Sequence[str] = (), gaps: bool = False) -> tuple[list[str], np.ndarray]:
-    """Return the names of all columns of a CSV file, and the numbers (N, K) in those named, or in all. Raises InvalidTarget.
+    """Read a CSV file: return the names of all its columns, and the numbers (N, K) in the columns `names`, by default in all.
 
-    gaps: whether a cell may be empty or nan, which gives NaN.
+    gaps: whether a cell may be empty or "nan", which is read as NaN. Raises InvalidTarget.
     """
     try:
         top = _read_top(path, ",".join(names) or "t,q_JOINT")
@@ -217,7 +217,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
         )
     found = {names: have for names in kinds if (have := [name for name in names if name in header])}
     if kinds[3] in found and given.euler is None and len(found[kinds[3]]) < 3:
-        del found[kinds[3]]  # A single column a, b or c is not an angle.
+        del found[kinds[3]]  # Without all three of a, b and c, a column of such a name has something else.
     turned = next(iter(found), ())
     if len(found) > 1 or (found and len(found[turned]) < len(turned)):
         every = ", ".join(name for have in found.values() for name in have)
@@ -278,7 +278,7 @@ def _rows(stream: TextIO, name: str, top: int) -> Iterator[tuple[int, str]]:
 
     A warning names blank lines that other lines follow.
     """
-    gaps: list[int] = []  # number of the first blank line in each gap
+    gaps: list[int] = []  # line number of the first blank line of each gap between rows
     skipped, before = 0, top
     for k, line in enumerate(_lines(stream, name), 1):
         if k <= top or _blank(line):
@@ -350,7 +350,7 @@ def _numbers(
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
     try:
-        # A quoted cell with a separator also fails here; the slow reader below accepts it.
+        # This also fails for a quoted cell with a separator in it, which is read line by line below.
         if any(text.count(mark) != width - 1 for text in texts):
             raise ValueError
         values = np.loadtxt(texts, delimiter=mark, usecols=columns, ndmin=2, comments=None, quotechar='"')
@@ -359,7 +359,7 @@ def _numbers(
     except ValueError:
         pass
     rows, bad = [], {}
-    for k, text in zip(lines, texts, strict=True):  # reading line by line finds the lines at fault
+    for k, text in zip(lines, texts, strict=True):  # Each line is read by itself, to find those that are wrong.
         try:
             row = next(csv.reader([text], delimiter=mark, strict=True))
         except csv.Error as error:

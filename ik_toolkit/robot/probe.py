@@ -18,11 +18,12 @@ from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .formats.urdf_values import reversed_advice
 from .rotation import turn_onto
 
-SAMPLES = 24  # number of configurations at which the arrays are compared with Pinocchio
-# In comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
-# (Pinocchio's rounding error grows with the distance from the model's origin.)
+SAMPLES = 24  # The arrays for the compiled solvers are compared with Pinocchio at this many configurations.
+# In comparisons with Pinocchio the size of a robot counts as at least this share of its distance from the origin of the model,
+# because rounding errors grow with that distance.
 FAR = 1e-5
-# A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
+# The arrays for the compiled solvers may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the
+# default tolerance of a solve.
 AGREE = 1e-9
 # Relative rounding error of a large angle: half an ulp (last digit), and as much again for its reduction modulo 2 pi.
 HELD = 2.5e-16
@@ -39,37 +40,39 @@ SINGULAR = 0.02
 
 
 class JointPath(NamedTuple):
-    """The joints between base and tip, and the indices of their coordinates in Pinocchio's configuration."""
+    """The joints between base and tip of a Pinocchio model, and where their n coordinates are in its configuration (nq,)."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
-    # Number of joints at the beginning that run from the base up towards the root, to the nearest link above both base and tip.
+    # This many of `joints`, the first, lead from the base up towards the root; the path to the tip branches off above them.
     up: int
-    leaders: list[int]  # Id of the joint of each coordinate, in order of first use.
-    # Number of leading coordinates that move the tip's own branch. The remaining ones move only the branch that carries the base;
-    # they are listed because they move for another tip.
+    leaders: list[
+        int
+    ]  # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
+    # This many of the coordinates, the first, move the tip relative to the root. The remaining ones move only the branch of the
+    # base; they are coordinates because they move for another tip of a Tree.
     own: int
     owner: dict[int, int]  # for each moving joint of the model, the index of its coordinate
-    idx_q: np.ndarray  # Indices (n,) of the coordinates in q.
-    circle: np.ndarray  # Whether each coordinate (n,) is stored as (cos, sin).
+    idx_q: np.ndarray  # (n,) where each coordinate begins in a configuration (nq,)
+    circle: np.ndarray  # (n,) whether each coordinate is stored as cosine and sine in a configuration (nq,)
 
 
 def mimics(model: pin.Model) -> dict[int, tuple[int, float, float]]:
-    """Map the id of each mimic joint to the id of its leader, the ratio, and the offset [rad or m]."""
+    """Return for each mimic joint of a Pinocchio model, by id: the id of its leader, the ratio, and the offset [rad or m]."""
     followers = zip(model.mimicking_joints, model.mimicked_joints, strict=True)
     found = ((j, leader, model.joints[j].extract()) for j, leader in followers)
     return {j: (leader, joint.scaling, joint.offset) for j, leader, joint in found}
 
 
 class Motionless(ModelError):
-    """The error of a robot in which no joint moves the tip."""
+    """Raised if no joint moves the tip relative to the base."""
 
 
 def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> JointPath:
-    """Find the joints from the base frame to the tip frame, which are frame ids.
+    """Find the joints from a base frame to a tip frame, given by frame id, and the coordinates that move the tip.
 
-    The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints
-    of that branch do not move unless they follow (or lead) one of these, or one of `others`: joints that move for
-    another tip. Raises Motionless, ModelError.
+    Coordinates are the joints above the tip that are not `locked` (ids), where a mimic joint counts as its leader. If the base is
+    on another branch, the joints of its branch rest, unless they mimic (or lead) a coordinate or are in `others`: ids of joints
+    that move for another tip of a Tree. Raises Motionless, ModelError.
     """
 
     def above(frame: int) -> list[int]:
@@ -138,11 +141,10 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 def limits(
     model: pin.Model, path: JointPath, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
+    """Return the limits (n,) [rad or m] of the coordinates of a path, infinite where there are none, and sentences on changes.
 
-    They are those of the description. The limits of a leader are narrowed so that each of its `followers` (see
-    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if no
-    position of a joint is left.
+    The limits of the model are narrowed so that each mimic joint stays inside its own limits. `followers` gives, by mimic joint:
+    leader, ratio, offset, lower and upper limit [rad or m]. Raises ModelError if no position of a joint is left.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -198,7 +200,7 @@ def limits(
 
 
 def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
-    """Return the middle of the limits (n,); for joints without two limits or not `centred`, the value nearest 0."""
+    """Return the middle of the limits (n,) [rad or m]; with an infinite limit, or `centred` (n,) False, the value nearest 0."""
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
     found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -206,7 +208,7 @@ def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.n
 
 
 def kinds(chain: Chain) -> tuple[str, ...]:
-    """Return the kind of each coordinate: 'revolute', 'continuous' (without limits) or 'prismatic'."""
+    """Return the kind of each coordinate of a Chain: 'revolute', 'continuous' (revolute without limits) or 'prismatic'."""
     turns = np.isin(np.arange(chain.n), chain.rows[chain.rows[:, 9] > 0.0, 8])
     endless = np.isinf(chain.lower) & np.isinf(chain.upper)
     return tuple(
@@ -218,9 +220,10 @@ def kinds(chain: Chain) -> tuple[str, ...]:
 def speed_limits(
     model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]
 ) -> tuple[np.ndarray, list[str]]:
-    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none, and notes.
+    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates of a path, infinite where there are none, and sentences.
 
-    The limit of a leader is lowered so that each of its `followers` (see `mimic_speeds`) keeps its own limit, which is noted.
+    The limits of the model are lowered so that each mimic joint keeps its own limit; a sentence says so. `followers` gives, by
+    mimic joint, its ratio and its velocity limit.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
     own = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
@@ -256,7 +259,10 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Return whether joint j is revolute (else prismatic), its motion [rad or m] per unit of its coordinate, and its axis (3,)."""
+    """Return whether joint j (id) is revolute (else prismatic), its motion [rad or m] per unit of its coordinate, and axis (3,).
+
+    `data` needs the result of a forward kinematics. Raises ModelError for a joint that does neither, or does not move.
+    """
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
@@ -281,16 +287,16 @@ def probe(
     upper: np.ndarray,
     home: np.ndarray,
 ) -> Chain:
-    """Build the joint arrays (Chain) of a path; joints off it and locked ones keep their values in `rest` (nq,).
+    """Build the Chain, the arrays by which compiled code computes the kinematics of a path from base to tip (frame ids).
 
-    base and tip are frame ids, tool is the pose of the working point in the tip frame; lower, upper and home (n,) are
-    in [rad or m].
+    Joints off the path and locked joints keep their values in `rest` (nq,). `tool` is the pose of the working point in the tip
+    frame. The limits `lower` and `upper` and the configuration `home`, where searches start, are (n,) [rad or m].
     """
     data, zero = model.createData(), rest.copy()
     for i, circle in zip(path.idx_q, path.circle, strict=True):
         zero[i : i + 1 + int(circle)] = (1.0, 0.0) if circle else 0.0
     pin.forwardKinematics(model, data, zero)
-    # transform from the axis of the previous moving joint to that of the next one
+    # `before` is the transform from the frame of the previous moving joint (at first: the base) to the current link.
     before = model.frames[base].placement.inverse()
     rows = []
     places = []
@@ -305,7 +311,7 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # cosine of the rotation about x before the joint, which has angle 0 here
+        row[0] = 1.0  # cosine of the rotation about x before the joint; it is set below for all but the first joint
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
@@ -325,9 +331,9 @@ def probe(
 
 
 def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
-    """Return configurations (SAMPLES, n) [rad or m] at which a chain is compared with Pinocchio: random ones, and each limit once.
+    """Return configurations (SAMPLES, n) [rad or m] at which a Chain is compared with Pinocchio: random ones, and each limit once.
 
-    Without limits they cover five turns, or one reach, either way; slides (n,) tells which coordinates are in metres.
+    A revolute joint without limits covers five turns either way, a prismatic joint (`slides` (n,) is True) the reach of the arm.
     """
     lower, upper, n = chain.lower, chain.upper, chain.n
     half = np.where(slides, chain.reach, WINDING)
@@ -342,11 +348,11 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
 
 
 def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
-    """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
+    """Return the largest difference between a Chain and kinematics(q), which gives the pose (pin.SE3) and the Jacobian (6, n).
 
-    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance
-    `far` [m] of its base from the model's origin. A Jacobian column is divided by the ratio of its joints. The result is at
-    least the rounding error at the largest angle, which is HELD times that angle.
+    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance `far` [m] of
+    its base from the origin of the model. The Jacobian column of a leader is divided by the sum of the ratios of its joints if that
+    is above 1. The result is at least HELD times the largest angle [rad], the rounding error there.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
@@ -364,9 +370,9 @@ def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far:
 
 
 def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Return the configuration `middle` (n,) or, if it is singular, the first nonsingular one of a few with fixed offsets from it.
+    """Return the configuration `middle` (n,) [rad or m] or, if it is near a singularity, one of 64 neighbours that is not.
 
-    moves (n,) is 1 for joints that may be offset, else 0.
+    lower, upper (n,): joint limits. moves (n,): whether a joint may differ from `middle`.
     """
     span = np.where(np.isfinite(upper - lower), upper - lower, 2.0)
     offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, len(middle))) * np.minimum(span, 2.0) * moves

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
 from .base import on_own_base, put_joint
-from .configuration import near_joint, values_by_joint
+from .configuration import near_joint, simple_joints, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
@@ -30,13 +30,10 @@ from .joints import Joints
 from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
-from .tips import one_word, only_tip, root_link
+from .tips import frame_id, one_word, only_tip, root_link
 
-# a copy must not share these caches
+# attributes with caches, which a copy must not share
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
-# types of frame of a base or tip
-LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
-FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
 
 class Robot(Joints):
@@ -91,18 +88,18 @@ class Robot(Joints):
         self.name = name or model.name
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
-        self.base = root if base is None else self._frame(base)
-        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
+        self.base = root if base is None else base
+        base_id = frame_id(self.model, self.base, self.name)
+        self.tip = tip if tip is not None else only_tip(model, self.name)
+        tip_id = frame_id(self.model, self.tip, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits set by `narrowed`, by joint.
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # (lower, upper) by joint, of a copy made by `narrowed`
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
-        for joint, value in (followers(urdf).rest if urdf else {}).items():
+        for joint, value in followers(urdf).rest.items():
             self._set_rest(joint, value, False)
-        held = passive_joints(
-            self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
-        )
+        held = passive_joints(self.srdf, self.model, base_id, tip_id, values_by_joint(locked))
         for joint, (value, counts) in held.items():
             self._set_rest(joint, value, counts)
         self._build(home)
@@ -170,43 +167,26 @@ class Robot(Joints):
 
     @classmethod
     def from_mjcf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load an MJCF file or text (needs the extra `formats`); options and errors as in `load`."""
+        """Load a robot from an MJCF file or text (needs the extra `formats`); options and errors as in `load`."""
         return cls.from_urdf(source, **options)
 
     @classmethod
     def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load a URDF or xacro file, or URDF text; options and errors as in `load`, which also takes names and MJCF."""
+        """Load a robot from a URDF or xacro file, or from URDF text; options and errors as in `load`, but no library names."""
         require_text_or_file(source)
         return cls.load(source, **options)
 
-    def _frame(self, name: str) -> str:
-        if not isinstance(name, str):
-            several = "; for several tips use ik.Tree.load(source, tips=[...])" * isinstance(name, list | tuple)
-            raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
-        self._frame_id(name)
-        return name
-
-    def _frame_id(self, name: str) -> int:
-        """Return the index of a link, or of a joint's frame, which is that of the link it moves. Raises FrameNotFound."""
-        frames = enumerate(self.model.frames)
-        found = [(f.type not in LINKS, i) for i, f in frames if f.name == name and f.type in FRAMES]
-        if not found:
-            bodies = [f.name for f in self.model.frames if f.type in LINKS]
-            raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
-        return min(found)[1]
-
     def _set_rest(self, joint: str, value: float, counts: bool = True) -> None:
-        joints = self.model.joints
-        names = [n for j, n in enumerate(self.model.names) if j and joints[j].nq in (1, 2) and joints[j].nv == 1]
-        if joint not in names:
+        joints = dict(simple_joints(self.model))
+        if joint not in joints:
             raise JointNotFound(
-                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_joint(joint, self.model, names)}"
+                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_joint(joint, self.model, joints)}"
             )
         what = f"the value of locked joint '{joint}' must be a finite number"
         number = floats(value, what, InvalidConfiguration)
         if number.shape != () or not np.isfinite(number):
             raise InvalidConfiguration(f"{what}, not {number.tolist()}")
-        put_joint(self.model.joints[self.model.getJointId(joint)], self.rest, float(number))
+        put_joint(joints[joint], self.rest, float(number))
         if counts:
             self.locked_joints[joint] = float(number)
 
@@ -220,11 +200,12 @@ class Robot(Joints):
         self.memo: dict[Any, Any] = {}
         self._wide = None
         model = self.model
-        base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
+        base_id, tip_id = (frame_id(model, name, self.name) for name in (self.base, self.tip))
+        self._ids = base_id, tip_id
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         others = [model.getJointId(joint) for joint in self._others]
         self._path = path = find_path(model, base_id, tip_id, locked, others)
-        loose = followers(self.urdf).loose if self.urdf else {}
+        loose = followers(self.urdf).loose
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
                 raise ModelError(
@@ -232,8 +213,8 @@ class Robot(Joints):
                 )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
-        lower, upper, notes = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        self.velocity_limits, slower = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
+        lower, upper, notes = limits(model, path, mimic_limits(self.urdf))
+        self.velocity_limits, slower = speed_limits(model, path, mimic_speeds(self.urdf))
         self._note([*notes, *slower])
         ends = dict(zip(self.joint_names, upper.tolist(), strict=True))
         free = [joint for joint in self._slides if math.isinf(ends.get(joint, 0.0))]
@@ -244,14 +225,13 @@ class Robot(Joints):
         self.lower, self.upper = lower, upper
         based = np.array([joint in self._of_base for joint in self.joint_names])
         self.home = start = mid_range(lower, upper, ~based)
-        self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
         self._compare()
         strokes = np.array([lower, upper])[:, self.slides & ~based]
         self._note(doubted_size(model, path.joints, tip_id, strokes))
-        # A home without the coordinates of a moving base is completed by the base's start.
+        # The home of a library robot has no values for the joints of a moving base, so they are put before it.
         if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
@@ -266,7 +246,7 @@ class Robot(Joints):
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # this form of the comparison refuses NaN, too
+        if not off <= AGREE:  # `off > AGREE` would accept NaN.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
@@ -274,12 +254,12 @@ class Robot(Joints):
 
     @property
     def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The robot itself; a Tree has one Robot per tip."""
+        """A tuple with this robot alone, as a Tree has one of a Robot for each tip."""
         return (self,)
 
     @property
     def data(self) -> pin.Data:
-        """The pin.Data of the calling thread; each thread has its own."""
+        """Working memory of Pinocchio (pin.Data) for this model; each thread has its own."""
         data = getattr(self._local, "data", None)
         if data is None:
             data = self._local.data = self.model.createData()
@@ -292,7 +272,7 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
-        # A joint between root and base may mimic one on the path, so the base can move.
+        # The base is not fixed: a joint between the root and the base may mimic one on the path.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
@@ -308,7 +288,7 @@ class Robot(Joints):
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
-        # The Jacobian of the tip relative to the base is the difference of both.
+        # The base moves too, so its Jacobian is subtracted from that of the tip.
         for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):
             K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
             K[:3] -= pin.skew(point - frame.translation) @ K[3:]
@@ -317,9 +297,9 @@ class Robot(Joints):
         return base.actInv(tip) * self.tool, np.vstack([R @ J[:3], R @ J[3:]])
 
     def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
-        """Compute the distance [m] and rotation angle [rad] of the tip at q (n,) [rad or m] from a target by Pinocchio.
+        """Compute by Pinocchio how far the tip at q (n,) [rad or m] is from a target: distance [m] and rotation angle [rad].
 
-        The target is a pose or a position [m] in the base frame (angle None). Raises InvalidConfiguration, InvalidTarget.
+        The target is a pose or, with angle None, a position [m] in the base frame. Raises InvalidConfiguration, InvalidTarget.
         """
         target = self.each_tip(target).get(self.tip, target)
         return self._errors(self.check_q(q), check_target(target, self.base)[0])
@@ -357,7 +337,7 @@ class Robot(Joints):
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose targets, fk and errors refer to a tool frame, at T_tip_tool (4, 4) in the tip frame.
 
-        shape is the tool's collision shape, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
+        `shape` is a collision shape (Shape) of the tool, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
         T = as_matrix(T_tip_tool, "tool", self.reach)
         other = self._variant()

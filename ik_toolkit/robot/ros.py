@@ -7,10 +7,10 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidTarget, floats
 
-LARGEST_NANOSEC = 999_999_999  # largest valid nanosec of a ROS time; rounding must not reach a whole second
+LARGEST_NANOSEC = 999_999_999  # the largest valid nanosec of a ROS time, to which rounded fractions are cut
 
 
-POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion
+POINT, QUATERNION = "xyz", "xyzw"  # the fields of geometry_msgs/Point and Vector3, and of Quaternion
 
 
 def _field(message: Any, name: str) -> Any:
@@ -19,14 +19,14 @@ def _field(message: Any, name: str) -> Any:
 
 
 def has_fields(message: Any, names: Sequence[str]) -> bool:
-    """Return whether an object or dict has all fields in `names`, which is how messages are recognised without ROS."""
+    """Return whether an object or dict has all fields in `names`: so ROS messages are recognised where ROS is not installed."""
     if isinstance(message, Mapping):
         return all(name in message for name in names)
     return all(hasattr(message, name) for name in names)
 
 
 def is_by_name(value: Any) -> bool:
-    """Return whether a value is a dict from names (of tips) to targets, and not a single target as the fields of a ROS message."""
+    """Return whether a value is a dict from names of tips to targets, rather than a dict of the fields of one ROS message."""
     fields = ("header", "position", "orientation", "translation", "rotation")
     if not isinstance(value, Mapping) or has_fields(value, POINT) or any(name in value for name in fields):
         return False
@@ -47,7 +47,7 @@ def _inner(message: Any) -> tuple[Any, Any, Any] | None:
 
 
 def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | None] | None:
-    """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None if it is not such a message.
+    """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message with a pose or point; None for anything else.
 
     Args:
         message: a geometry_msgs Pose, PoseStamped, Transform, TransformStamped, Point, PointStamped or Vector3, or an object or
@@ -68,7 +68,7 @@ def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | No
 
 
 def listed_poses(message: Any, base: str = "") -> list[Any] | None:
-    """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is not such a message.
+    """Return the list of poses, each a ROS message, in a geometry_msgs/PoseArray or nav_msgs/Path; None for anything else.
 
     Its header may be missing if every entry is a pose. Raises InvalidTarget if it is given in another frame than `base` (as in
     `read_pose`).
@@ -126,14 +126,17 @@ def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
 
 
 def header(frame: str = "") -> dict[str, Any]:
-    """Return a std_msgs/Header with zero time."""
+    """Return the fields of a std_msgs/Header with time zero and this frame, as a dict."""
     return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
 
 
 def joint_trajectory(
     names: Sequence[str], frame: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """Return a trajectory_msgs/JointTrajectory with a point for each row of t (N,) [s] and q, dq, ddq (N, n) [rad or m, s]."""
+    """Return the fields of a trajectory_msgs/JointTrajectory, as a dict, with a point for each time t (N,) [s].
+
+    q, dq, ddq (N, n) are joint values [rad or m], rates [per s] and accelerations [per s^2].
+    """
     whole = np.floor(t).astype(int)
     nanos = np.minimum(np.round((t - whole) * 1e9), LARGEST_NANOSEC).astype(int)
     times = [{"sec": sec, "nanosec": nanosec} for sec, nanosec in zip(whole.tolist(), nanos.tolist(), strict=True)]

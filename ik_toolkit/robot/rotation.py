@@ -10,9 +10,11 @@ from ..errors import InvalidOption, InvalidTarget, floats
 
 
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return a rotation (3, 3) that takes one unit vector onto another."""
+    """Return a rotation (3, 3) that turns the unit vector `axis` (3,) onto the unit vector `direction` (3,)."""
     cos = float(axis @ direction)
-    if cos < 0.0:  # Near 180 degrees 1 + cos is inexact, so two reflections through a third vector are used.
+    if (
+        cos < 0.0
+    ):  # 1 + cos is inexact near 180 degrees, so the rotation is made of two reflections: onto a third vector, then on.
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
@@ -39,7 +41,7 @@ def finite_numbers(value: Any, size: int, name: str) -> np.ndarray:
 
 
 def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the angles (N,) [rad] between rotations A and B (N, 3, 3)."""
+    """Return the angles (N,) [rad] of the rotations that turn the matrices A (N, 3, 3) into the matrices B (N, 3, 3)."""
     chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
     return 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
@@ -57,9 +59,9 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def euler_axes(order: Any) -> str:
-    """Return the axes of three rotations, such as "zyx", each about an already rotated axis, in lower case.
+    """Check a sequence of Euler axes, such as "zyx" or "ZYX", and return it in lower case.
 
-    All capitals mean the same, as in SciPy, whose lower case means fixed axes. Raises InvalidOption.
+    Each rotation is about an axis that the previous ones have turned (intrinsic). Raises InvalidOption.
     """
     axes = str(order).lower()
     if (
@@ -76,9 +78,9 @@ def euler_axes(order: Any) -> str:
 
 
 def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
-    """Return the rotations (N, 3, 3) by angles (N, 3) [rad] about the axes in `order`, each already rotated.
+    """Return the rotation matrices (N, 3, 3) of intrinsic Euler angles (N, 3) [rad] about the axes in `order`, such as "zyx".
 
-    "zyx" with (yaw, pitch, roll) is URDF's roll, pitch, yaw.
+    The order "zyx" with the angles (yaw, pitch, roll) is roll, pitch and yaw of URDF.
     """
     made = np.tile(np.eye(3), (len(angles), 1, 1))
     for axis, angle in zip(order, angles.T, strict=True):
@@ -90,7 +92,7 @@ def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
 
 
 def rotation_columns(names: Sequence[str]) -> list[str]:
-    """Return, in lower case, those column names that other programs use for rotations."""
+    """Return those of the lower-case column names that other programs use for rotations, such as "euler_x" or "alpha"."""
     parts = ("roll", "pitch", "yaw", "rot", "quat", "euler", "orient")
     groups = ("w p r", "u v w", "alpha beta gamma", "phi theta psi", "q0 q1 q2 q3", "q1 q2 q3 q4", "i j k w")
     found = [name for name in names if any(part in name for part in parts)]
@@ -98,13 +100,12 @@ def rotation_columns(names: Sequence[str]) -> list[str]:
 
 
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Return roll, pitch, yaw [rad] of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
+    """Return roll, pitch, yaw [rad] (URDF) of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
 
-    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90
-    degrees.
+    The roll is found from Rz(yaw)^T R, so the three angles reproduce R to rounding, however near pitch is to 90 degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    # with a smaller cosine of the pitch, the yaw is only rounding error
+    # At a smaller cosine of the pitch the yaw would consist of rounding errors.
     yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
@@ -112,7 +113,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
 
 
 def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Return the rotation (3, 3) of a quaternion (4,) in this order, which is normalised here."""
+    """Return the rotation (3, 3) of a quaternion (4,) with its numbers in the order `order`; its length need not be 1."""
     q = finite_numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
@@ -123,7 +124,7 @@ def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz
 
 
 def matrix_quat(R: np.ndarray) -> np.ndarray:
-    """Return the quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
+    """Return the unit quaternion (4,) x, y, z, w, with w >= 0, of a rotation (3, 3)."""
     import pinocchio as pin  # imported here so that reading tables and files stays fast
 
     q = np.array(pin.Quaternion(np.asarray(R)).coeffs())

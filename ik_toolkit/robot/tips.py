@@ -3,11 +3,11 @@
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidOption, ModelError
+from ..errors import FrameNotFound, InvalidOption, ModelError, near_match
 from .base import ROAMS
 
 LOG = logging.getLogger("ik_toolkit")
@@ -18,8 +18,8 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE: words for sensors and objects, which are accepted as a tip only if there is no arm.
-# OTHERS: these, and words for fingers, legs and other parts on which no tool is mounted.
+# A frame whose name has a word of OTHERS (a finger, leg or other part on which no tool is mounted) is a tip only if no other frame
+# remains, and one with a word of SCENE (a sensor or object) only after that.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box "
@@ -29,11 +29,14 @@ OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover shape dummy".split()
 )
-SHOWN = 3  # A message lists this many candidates.
+# the types of Pinocchio frame that may be a base or a tip: links, and joints
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
+FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+SHOWN = 3  # A message lists at most this many candidates for the tip.
 
 
 class Guess(NamedTuple):
-    """Likely tips of a robot, best first: one, or several equally likely ones, and the reason."""
+    """The name of the likely tip of a robot, or of several equally likely ones, and why they are likely."""
 
     tips: tuple[str, ...]
     why: str
@@ -45,7 +48,7 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame whose name consists of these words follows a naming convention for tips.
+    """Return whether a frame whose name consists of the words `said` follows a naming convention for tips, itself a set of words.
 
     A name with the words "arm" and "tool" follows only the convention of these two words, which ranks below a hand.
     """
@@ -54,12 +57,12 @@ def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Return whether a word of a frame's name is one of `names`; digits at the word's end are ignored ('camera2' is a camera)."""
+    """Return whether any of the words `said` is one of `names`, by default of parts that carry no tool; 'camera2' is 'camera'."""
     return any(word.rstrip("0123456789") in names for word in said)
 
 
 def path_ends(model: pin.Model) -> tuple[str, ...]:
-    """Return the names of the moving frames at the ends of the model's paths, which are the candidates for a tip."""
+    """Return the names of the links that a joint moves and to which no other link is attached: the candidates for a tip."""
     frames = model.frames
     parents = {
         f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
@@ -70,7 +73,7 @@ def path_ends(model: pin.Model) -> tuple[str, ...]:
 
 
 def guess_tip(model: pin.Model) -> Guess:
-    """Guess the tip by naming conventions, or else take the ends moved by the most joints.
+    """Guess the tip of a model by the usual names of tip frames; without one, take the ends of paths with the most joints.
 
     A joint with several degrees of freedom does not count: what only it moves is a free object of a scene, or the
     robot's base. Of the ends that no convention names, those moved by at most half as many joints as another (a lidar,
@@ -93,7 +96,7 @@ def guess_tip(model: pin.Model) -> Guess:
         [_carrier(model, f) for f in ends],
     )
     most = max((joints[f.name] for f in plain), default=0)
-    # Of several frames on one joint only the first is a candidate.
+    # Of several frames that the same joint moves, only the first is a candidate.
     longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 
@@ -107,7 +110,7 @@ def _carrier(model: pin.Model, frame: pin.Frame) -> pin.Frame:
 
 
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:
-    """Return the candidates for the tip: the likely ones, then the other ends of the model's paths.
+    """Return the names of frames that may be the tip of a model: the likely ones first, then the other ends of its paths.
 
     A frame that only a floating or planar joint moves is not a candidate, because without limits such a joint is held still.
     """
@@ -117,7 +120,7 @@ def tip_candidates(model: pin.Model) -> tuple[str, ...]:
 
 
 def only_tip(model: pin.Model, robot: str) -> str:
-    """Return the tip to use if none is given, and log a guess.
+    """Return the name of the tip of a model if none is given, and log a warning if it is a guess; `robot` is a name for messages.
 
     Raises ModelError if nothing moves, FrameNotFound if several tips are equally likely.
     """
@@ -143,6 +146,21 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
     joints = {f.parentJoint for f in frames}
     first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
     return tuple({f.parentJoint: f.name for f in first}.values())
+
+
+def frame_id(model: pin.Model, name: Any, robot: str) -> int:
+    """Return the index of the frame of a link, or of a joint, which moves with its link; `robot` is a name for messages.
+
+    Raises InvalidOption if `name` is no text, FrameNotFound if there is no such link or joint.
+    """
+    if not isinstance(name, str):
+        several = "; for several tips use ik.Tree.load(source, tips=[...])" * isinstance(name, list | tuple)
+        raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
+    found = [(f.type not in LINKS, i) for i, f in enumerate(model.frames) if f.name == name and f.type in FRAMES]
+    if not found:
+        bodies = [f.name for f in model.frames if f.type in LINKS]
+        raise FrameNotFound(f"robot '{robot}' has no frame '{name}'.{near_match(name, bodies)}")
+    return min(found)[1]
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:

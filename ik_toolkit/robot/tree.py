@@ -18,20 +18,20 @@ from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
-ENDS = 8  # A message lists this many path ends.
+ENDS = 8  # A message lists at most this many ends of paths.
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
-    """Return the names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds.
+    """Return the names of all joints of several arms, each once: those of the first arm, then those that each further arm adds.
 
-    If an arm has a joint only because it moves another tip, the joint comes in the place where that tip's path adds it.
+    A joint that one arm has only because it moves the tip of another comes with the joints of the other.
     """
     own = [joint for arm in arms for joint in arm.joint_names[: arm._path.own]]
     return tuple(dict.fromkeys([*own, *(joint for arm in arms for joint in arm.joint_names)]))
 
 
 def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
-    """Make a robot for each tip, from the arguments they share.
+    """Return a Robot for each tip, all made with the arguments `made`.
 
     A tip that no joint of its own path moves is accepted if joints of other tips' paths move it.
     """
@@ -111,14 +111,14 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # arms in reversed order, so that values of earlier tips overwrite those of later ones
+        # The arms are taken in reversed order, so that values of earlier tips overwrite those of later ones.
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
             idx_q[place], circle[place] = arm._path.idx_q, arm._path.circle
             for joint, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
-                # A prismatic joint with a revolute follower on any arm counts as revolute.
+                # A prismatic joint that a revolute joint mimics is revolute in the arm with that joint, and so in the tree.
                 if kinds.get(joint, "prismatic") == "prismatic":
                     kinds[joint] = kind
         for joint, low, high in zip(names, lower, upper, strict=True):
@@ -207,11 +207,11 @@ class Tree(Joints):
         return tree.locked(held) if held else tree
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
-        """Compute the pose T_base_tip [m] of every tip at q (n,) by Pinocchio; the keys are names of tips."""
+        """Compute by Pinocchio the pose T_base_tip (pin.SE3) [m] of every tip at q (n,) [rad or m], as a dict by name of tip."""
         return dict(zip(self.tips, self.tip_poses(self.check_q(q)), strict=True))
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Compute the stacked Jacobian (6 F, n) at q (n,) by Pinocchio: six rows per tip in order, base axes, linear rows first."""
+        """Compute by Pinocchio the Jacobian (6 F, n) of F tips at q (n,) in base axes: six rows for each tip, linear ones first."""
         q = self.check_q(q)
         J = np.zeros((6 * len(self.arms), self.n))
         for f, (arm, place) in enumerate(zip(self.arms, self.places, strict=True)):
@@ -284,7 +284,7 @@ class Tree(Joints):
 
 
 def require_one_tip(robot: Any, what: str) -> None:
-    """Raise InvalidOption unless `robot` is a Robot; `what` begins the message, which says how to choose one tip of a tree."""
+    """Raise InvalidOption for a Tree: `what` (the beginning of the message) works for one tip only, and how to choose it."""
     if isinstance(robot, Tree):
         raise InvalidOption(
             f"{what} needs one tip, and this tree has {', '.join(robot.tips)}; choose one: ik.Robot.load(source, tip="

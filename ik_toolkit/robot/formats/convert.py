@@ -20,14 +20,15 @@ from .urdf import plain_origin
 from .urdf_model import build_model
 from .urdf_write import add_joint, add_link, numbers_text, origin, to_text
 
-SHOWN = 3  # number of missing meshes that a message names
+SHOWN = 3  # A message names this many missing meshes and counts the others.
 
 
 class Converted(NamedTuple):
-    """A plain URDF made from another description.
+    """A robot description converted to one plain URDF text.
 
-    name is the robot's; meshes maps each mesh name of the description to the name in the text; lost maps each mesh that
-    was not found to the reason. outside lists the folders without which meshes of the saved text are not read.
+    `name` is that of the robot. `meshes` maps the name of each mesh in the description to its name in the URDF, and `lost` each
+    mesh that was not found to the reason. `outside` lists folders that must be given as package_dirs, or else meshes of the saved
+    URDF are not read.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Converted(NamedTuple):
     outside: tuple[str, ...] = ()
 
     def notes(self) -> list[str]:
-        """Return up to two sentences: which meshes were not found, and which ones the saved text finds only with package_dirs."""
+        """Return up to two sentences for the user: on meshes that were not found, and on package_dirs that the saved URDF needs."""
         found = []
         if self.lost:
             some = "; ".join(f"'{name}' {why}" for name, why in list(self.lost.items())[:SHOWN])
@@ -58,7 +59,7 @@ def convert(
     package_dirs: Iterable[str | Path] = (),
     xacro_args: Mapping[str, Any] | None = None,
 ) -> Converted:
-    """Return any description that `Robot.load` reads as a plain URDF.
+    """Convert any description that `Robot.load` reads to a plain URDF, and return it with notes on its meshes.
 
     A mesh below `folder`, where the text will be saved, is named relative to it, every other mesh by its absolute path.
     A mesh that is not found keeps its name. Raises what `Robot.load` raises.
@@ -92,11 +93,11 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
 
 
 def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
-    """Return a robot whose URDF has corrections written into it.
+    """Return a copy of a Robot with corrections (from a calibration) written into its URDF.
 
-    joints maps a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis> of the joints
-    in `against` is reversed. tool is a transform (4, 4) of the tip, applied in the same way to the fixed joint of the tip's link.
-    If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
+    `joints` maps the name of a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis>
+    of the joints in `against` is reversed. `tool` is a transform (4, 4) of the tip, applied in the same way to the fixed joint of
+    the tip's link. If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
     """
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}

@@ -27,13 +27,13 @@ from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, ne
 KINDS = ("revolute", "prismatic", "continuous")
 COLUMNS = ("name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort")
 SETTINGS = ("name", "convention", "angles", "lengths", "base", "tool", "joint")
-MAX_ROWS = 1000  # Limit on the number of joints, the same as that of a URDF.
-MAX_BYTES = 1_000_000  # Limit on the size of a file [bytes].
+MAX_ROWS = 1000  # A table with more joints is refused; a URDF may have as many.
+MAX_BYTES = 1_000_000  # A larger file of a table [bytes] is refused.
 
 
 @dataclass(frozen=True)
 class DHRow:
-    """One joint of a D-H table.
+    """One joint of a table of Denavit-Hartenberg (D-H) parameters.
 
     The angles theta and alpha are in rad, the lengths d and a in m, the limits lower and upper in rad or m, velocity in
     rad/s or m/s, effort in Nm or N.
@@ -53,9 +53,10 @@ class DHRow:
 
 @dataclass(frozen=True)
 class DHTable:
-    """A D-H table in metres and radians.
+    """A table of Denavit-Hartenberg (D-H) parameters in metres and radians.
 
-    The convention is 'classic' or 'modified'; base and tool are poses (4x4) before the first and after the last row.
+    `convention` is 'classic' or 'modified'. `base` (4, 4) is the pose of the first frame in the base, `tool` (4, 4) that of the
+    tool in the last frame.
     """
 
     name: str
@@ -65,7 +66,7 @@ class DHTable:
     tool: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as numbers, strings and lists, ready for JSON."""
+        """Return the table as a dict of numbers, strings and lists, as JSON can store it."""
         columns = ("name", "type", "theta", "d", "a", "alpha")
         rows = [{name: getattr(row, name) for name in columns} for row in self.rows]
         return {"convention": self.convention, "rows": rows, "base": self.base.tolist(), "tool": self.tool.tolist()}
@@ -85,7 +86,7 @@ def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
 
 
 def joint_origins(table: DHTable) -> list[np.ndarray]:
-    """Return the constant transforms (4x4) of a D-H table: one before each joint, whose axis is z, and one to the tool."""
+    """Return the constant transforms (4, 4) [m] of a D-H table: one before each joint, which moves on z, and one to the tool."""
     origins, before = [], table.base
     for row in table.rows:
         about_z, about_x = _screw(2, row.theta, row.d), _screw(0, row.alpha, row.a)
@@ -125,7 +126,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         raise ModelError(f"a D-H table is a .toml or .csv file, not '{path.name}'")
     try:
         raw = path.read_bytes()
-    except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
+    except (OSError, ValueError) as error:  # A path that contains a NUL character raises ValueError.
         raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {why_unread(error)}") from None
     if len(raw) > MAX_BYTES:
         raise ModelError(f"the D-H table '{path.name}' is larger than {MAX_BYTES // 1_000_000} MB")
@@ -137,7 +138,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         return dh_table({"name": path.stem, **_csv_settings(text)})
     try:
         settings = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError also covers an integer of thousands of digits.
+    except (ValueError, RecursionError) as error:  # An integer with thousands of digits raises ValueError.
         raise ModelError(f"the D-H table '{path.name}' is not valid TOML: {error}") from None
     return dh_table({"name": path.stem, **settings})
 
@@ -172,7 +173,7 @@ def _csv_settings(text: str) -> dict[str, Any]:
 
 
 def dh_table(settings: Mapping[str, Any]) -> DHTable:
-    """Validate the settings of a D-H file, as read from TOML, and convert them to metres and radians.
+    """Make a DHTable of the settings of a D-H file, given as a dict, in metres and radians.
 
     Raises ModelError, which names the row and the column.
     """
@@ -295,7 +296,7 @@ def add_arm(
     mount: np.ndarray | None = None,
     gripper: bool = True,
 ) -> None:
-    """Append the joints and links of a table to a URDF, mounted at `mount` (4x4) [m] on the link `root` and ending in `tip`."""
+    """Append the joints and links of a D-H table to a <robot>, from `mount` (4, 4) [m] on its link `root` to a new link `tip`."""
     origins = joint_origins(table)
     if mount is not None:
         origins[0] = mount @ origins[0]
@@ -325,7 +326,7 @@ def _radius(table: DHTable, number: int) -> float:
 
 
 def add_pedestal(link: ET.Element, table: DHTable, mount: np.ndarray | None = None) -> None:
-    """Draw the foot of an arm below its first joint: a plate and a short column along the joint's axis."""
+    """Add the shapes of a foot below the first joint of an arm to a link: a plate, and a short column along the joint axis."""
     r, start = _radius(table, 0), table.base if mount is None else mount @ table.base
     if table.rows[0].type == "prismatic":
         return

@@ -11,8 +11,8 @@ from ...text import in_shell
 class Finding:
     """One problem found in a robot description.
 
-    The severity is 'error' if the robot cannot be loaded, otherwise 'warning'. The element is written as in "joint
-    'j3'", the line counts from 1. If at_load is set, loading reports the finding too, because the robot may differ from
+    `severity` is 'error' if the robot cannot be loaded, otherwise 'warning'. `element` is a text such as "joint 'j3'", `line` its
+    line in the file, from 1. `at_load` marks warnings that `Robot.load` logs, too, because the robot may move differently from
     what its author means.
     """
 
@@ -29,17 +29,17 @@ class Finding:
 
 
 def error_finding(element: object, problem: str, advice: str, line: int) -> Finding:
-    """Make a finding that prevents the robot from being loaded."""
+    """Return a Finding of severity 'error', with which the robot cannot be loaded."""
     return Finding("error", str(element), problem, advice, line)
 
 
 def odd(element: object, problem: str, advice: str, line: int, at_load: bool = False) -> Finding:
-    """Make a finding (a warning) that does not prevent the robot from being loaded."""
+    """Return a Finding of severity 'warning', with which the robot can be loaded."""
     return Finding("warning", str(element), problem, advice, line, at_load)
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """Return a sentence for each kind of advice among the findings to report; lines: whether to name line numbers."""
+    """Return as sentences the findings that loading logs; elements with the same advice share one. lines: name their lines."""
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:
@@ -53,6 +53,6 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:
-    """Return ' Did you mean ...?' with the option most like a misspelled name, or '' if none is like it."""
+    """Return ' Did you mean ...?' with that of the options which is most like a misspelled name, or '' if none is like it."""
     found = near_match(name, options).partition(" Available")[0]
     return found if found.startswith(" Did") else ""

@@ -10,9 +10,9 @@ LEAST = 1e-6  # A joint is expressed by another one only if its coefficient is a
 
 
 class Equation(NamedTuple):
-    """The linear equation sum(c q_j) = value between joint values; `terms` maps the number of a joint to its coefficient.
+    """The linear equation sum(c_j q_j) = value between joint values; `terms` maps the number j of a joint to its coefficient c_j.
 
-    `first` is the joint that should be expressed by the others (the follower), or -1.
+    `first` is the number of the joint that should become a mimic joint of another, or -1 if any may.
     """
 
     name: str
@@ -24,9 +24,10 @@ class Equation(NamedTuple):
 class Solved(NamedTuple):
     """The solution of a set of linear equations between joints, which are given by their numbers.
 
-    `tied` maps a follower to (leader, ratio, offset), `held` a joint that cannot move to its value. `against` lists the
-    equations that contradict earlier ones. `left` lists the equations that are not solved: those that still couple several
-    free joints, the contradicting ones, and all that share joints with those, directly or through others.
+    `tied` maps a joint that depends on one other, its leader, to (leader, ratio, offset), and `held` a joint that cannot move to
+    its value. `against` lists the equations that contradict earlier ones. `left` lists the equations that are not solved: those
+    that couple more than two joints, those that contradict others, and all that share a joint with them, directly or through
+    further equations.
     """
 
     tied: dict[int, tuple[int, float, float]]
@@ -35,7 +36,7 @@ class Solved(NamedTuple):
     against: list[Equation]
 
     def free(self, terms: dict[int, float]) -> tuple[dict[int, float], float]:
-        """Express a linear combination of joint values by leaders alone; return its nonzero coefficients and its constant."""
+        """Replace the dependent joints in a linear combination of joint values; return its new coefficients and a constant."""
         found: dict[int, float] = {}
         constant, size = 0.0, 0.0
         for joint, c in terms.items():
@@ -50,12 +51,12 @@ class Solved(NamedTuple):
 
 
 def solve_linear(equations: Sequence[Equation]) -> Solved:
-    """Solve the equations by elimination: express joints by one other joint (followers) or by a constant (held joints)."""
+    """Solve linear equations between joints by elimination, so that each joint depends on at most one other, if possible."""
     first = list(dict.fromkeys(one.first for one in equations if one.first >= 0))
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
-    columns = [*first, *others]  # elimination expresses each joint by joints of later columns
+    columns = [*first, *others]  # Elimination expresses a joint by joints that come later in this order.
     place = {joint: i for i, joint in enumerate(columns)}
-    # row of coefficients, followed by the right-hand side, by pivot column
+    # by pivot column: the coefficients of an equation, then its right-hand side
     rows: dict[int, np.ndarray] = {}
     against: list[Equation] = []
     for one in equations:
@@ -80,7 +81,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
         rows[pivot] = row
     tied: dict[int, tuple[int, float, float]] = {}
     held: dict[int, float] = {}
-    # joints that depend on several others at once, each with its coefficients and its offset
+    # joints that depend on several others at once: the coefficients of these, and an offset
     groups: list[tuple[int, np.ndarray, float]] = []
     for pivot, row in rows.items():
         joint, offset = columns[pivot], float(row[-1])
@@ -105,7 +106,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
 
 
 def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
-    """Solve without the equations in `some`, which no configuration satisfies, and all connected with them; these go to `left`."""
+    """Solve again without the equations in `some`, which no configuration satisfies, or those tied to them by joints."""
     bad = _connected(equations, some)
     rest = solve_linear([one for one in equations if one not in bad])
     return rest._replace(left=[*rest.left, *bad])

@@ -16,7 +16,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 class Tie(NamedTuple):
-    """A linear relation between two joints: the follower's coordinate is ratio times the leader's, plus offset [rad or m]."""
+    """How a mimic joint follows its leader: its value is `ratio` times the value of joint `leader`, plus `offset` [rad or m]."""
 
     leader: str
     ratio: float
@@ -26,9 +26,10 @@ class Tie(NamedTuple):
 class Followers(NamedTuple):
     """The mimic joints of a robot, and the order in which Pinocchio can read them.
 
-    `tied` maps each follower to its relation. `loose` maps each mimic joint that cannot follow, and so stays fixed, to the reason.
-    `order` lists the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
-    If another joint leads than in the file, `rest` maps it to the value [rad or m] at which the file's leader is at 0.
+    `tied` maps each mimic joint to its leader, ratio and offset. `loose` maps each mimic joint that cannot follow its leader, and
+    so stays fixed, to the reason. `order` lists the names of all joints, and is empty if Pinocchio's own order has every leader
+    before its mimic joints. Where the roles of two joints had to be exchanged, `rest` maps the new leader to its value [rad or m]
+    for which the leader in the file is at 0.
     """
 
     tied: dict[str, Tie]
@@ -38,9 +39,9 @@ class Followers(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def followers(text: str) -> Followers:
-    """Find the mimic joints in a URDF text that `safe_read` has accepted."""
-    items = parse(text)
+def followers(text: str | None) -> Followers:
+    """Return the mimic joints of a URDF text (None: no joints), and an order of all joints in which their leaders come first."""
+    items = parse(text) if text else []
     tied, loose = ties(items)
     if not tied:
         return Followers(tied, loose, [], {})
@@ -48,8 +49,8 @@ def followers(text: str) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        # In every order some followers precede their leader, so another joint of the group becomes its leader: first only in the
-        # groups of those followers, then, if that is not enough, in all groups.
+        # In every order some mimic joints precede their leader, so the leader exchanges roles with one of them: first only in the
+        # groups of these mimic joints, then, if that is not enough, in all groups.
         if late:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
@@ -58,28 +59,29 @@ def followers(text: str) -> Followers:
     return Followers(tied, loose | late, order if order != own else [], rest)
 
 
-def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
-    """Map each follower joint to (leader, multiplier, offset, lower, upper) [rad or m], where q = multiplier q_leader + offset.
+def mimic_limits(text: str | None) -> dict[str, tuple[str, float, float, float, float]]:
+    """Return for each mimic joint of a URDF text (leader, multiplier, offset, lower, upper) [rad or m].
 
-    The limits are the follower's own, which Pinocchio drops, or 1e16 (ENDLESS) where it has none.
+    Its value is q = multiplier q_leader + offset. The limits are those of the mimic joint itself, which Pinocchio drops; +-1e16
+    means none.
     """
     tied = followers(text).tied
     found = {}
-    for item in parse(text):
+    for item in parse(text) if text and tied else ():
         if item.tag == "joint" and item.name in tied:
             leader, ratio, offset = tied[item.name]
             found[item.name] = leader, ratio, offset, *limits_of_joint(item)
     return found
 
 
-def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
-    """Map each follower joint that has a velocity limit of its own to (multiplier, limit [rad/s or m/s]).
+def mimic_speeds(text: str | None) -> dict[str, tuple[float, float]]:
+    """Return for each mimic joint of a URDF text with a velocity limit of its own (multiplier, limit [rad/s or m/s]).
 
-    A limit of 0 counts as none, because no author means a follower that may not move.
+    A limit of 0 counts as none, because no author means a mimic joint that may not move.
     """
     tied = followers(text).tied
     found = {}
-    for item in parse(text):
+    for item in parse(text) if text and tied else ():
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
         speed = finite_at(limit, "velocity")
         if speed and speed[0] > 0.0 and tied[item.name].ratio != 0.0:
@@ -88,9 +90,9 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
 
 
 def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
-    """Tie each follower to an independent joint; the second result maps each follower that cannot be tied to the reason.
+    """Find the leader of each mimic joint; return a Tie for each, and the reasons, by name, of those that cannot follow theirs.
 
-    A follower of a follower is tied to the leader of both.
+    A joint that mimics a mimic joint follows the leader of both.
     """
     joints = {item.name: item for item in items if item.tag == "joint"}
     moving = {name: item for name, item in joints.items() if item.attributes.get("type") in MOVING}
@@ -98,12 +100,12 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        # Follow the leaders up to a joint whose tie is known or that follows no other.
+        # `walk` goes from leader to leader, up to a joint that is done already or mimics no other.
         walk = [name]
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                # Only the joints of the loop mimic themselves; joints on the way to it follow its first joint.
+                # The joints from `leader` on mimic themselves in a circle; those before it in `walk` only lead to the circle.
                 loop = walk[walk.index(leader) :]
                 del walk[walk.index(leader) + 1 :]
                 loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}
@@ -133,9 +135,9 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
 
 
 def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
-    """Swap leaders: each group led by one of `leaders` is led by the first of its joints in `order` instead.
+    """Return the ties with a new leader in place of each of `leaders`: the first in `order` of the joints that follow it.
 
-    The motion is the same: q_leader = (q_follower - offset) / ratio. A follower with ratio 0 cannot become a leader.
+    The motion is the same: q_leader = (q_follower - offset) / ratio. A mimic joint with ratio 0 cannot become a leader.
     """
     found = dict(tied)
     for leader in leaders:
@@ -152,9 +154,7 @@ def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]
 
 
 def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:
-    """Order all joints depth-first with leaders before followers.
-
-    Also returns the reason for each follower that cannot come after its leader.
+    """Return the names of all joints, depth-first, with leaders before their mimic joints, and the reasons where that fails.
 
     The branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
     """
@@ -167,13 +167,13 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     branches: dict[str, list[str]] = {}
     for name in sorted(joints):
         branches.setdefault(ends[name][0], []).append(name)
-    # for each branch, the branches of the same link that must come before it
+    # by first joint of a branch: the branches of the same link that must come before it
     before: dict[str, set[str]] = {}
     loose: dict[str, str] = {}
 
     def path(joint: str) -> list[str]:
         walk: dict[str, None] = {}
-        # Links may be joined in a circle, which is reported elsewhere.
+        # `walk` ends at a joint that it has already, because links may be joined in a circle (an error reported elsewhere).
         while joint and joint not in walk:
             walk[joint] = None
             joint = above.get(ends[joint][0], "")

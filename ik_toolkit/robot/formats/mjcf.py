@@ -12,59 +12,47 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...errors import MissingExtra, ModelError
 from ..base import BALL_PITCH, BASES, ROOT, TURNS
-from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
 from ..rotation import matrix_rpy, quat_matrix
-from .mjcf_constraints import Ties, read_ties
+from .description import Urdf
+from .mjcf_constraints import TieReader, Ties
 from .mjcf_text import Flat, flatten
 from .sandbox import ask
 from .srdf import Srdf
-from .urdf import attribute_numbers
+from .urdf import ENDLESS, attribute_numbers, source_text
 from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
-MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
-SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
-ENDLESS = 1e16  # An effort or velocity limit of this size means "no limit".
-HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
+MEMORY = 2_000_000_000  # Memory cap [bytes] of the process that runs MuJoCo. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
+SECONDS = 4  # Cap on the processor time [s] of that process. A large robot takes 1 s.
+HIDDEN = 3  # Shapes of MJCF group 3 and above are not drawn, as in the viewer of MuJoCo.
 # A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
-class Read(NamedTuple):
-    """An MJCF model written as URDF.
-
-    `srdf` has the keyframes, as configurations, and the pairs of links that may touch. `notes` says what the URDF lacks.
-    `constraints` has the loops and relations that a URDF cannot hold.
-    """
-
-    urdf: str
-    srdf: Srdf
-    notes: list[str]
-    constraints: tuple[Constraint, ...] = ()
-
-
-def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
-    """Write an MJCF text as URDF; `path` is the file it comes from.
+def read_mjcf(source: str | Path, package_dirs: Iterable[str | Path] = (), *_: Any) -> Urdf:
+    """Convert an MJCF file (a path) or text to URDF, with the constraints and named configurations beside it.
 
     Raises MissingExtra if mujoco is not installed, ModelError if the text cannot be read.
     """
+    text = source_text(source, "MJCF")
     if importlib.util.find_spec("mujoco") is None:
         raise MissingExtra("mujoco", "formats")
+    path = source if isinstance(source, Path) else None
     name = path.name if path else "MJCF text"
     flat = flatten(text, path, mesh_folders(path, package_dirs))
     model = _compile(flat.xml, name)
     return _Writer(model, path.stem if path else "", flat).read()
 
 
-@functools.lru_cache(maxsize=4)  # A robot is often loaded again, and the process takes a third of a second.
+@functools.lru_cache(maxsize=4)  # A robot is often loaded again, and compiling it takes a third of a second.
 def _compile(xml: str, name: str) -> dict[str, Any]:
     """Compile MJCF text in a subprocess and return the model as MuJoCo describes it, which must not be changed."""
     silent = "it crashed MuJoCo, or took too much time or memory"
@@ -118,19 +106,19 @@ class _Writer:
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
-        # A ball joint written as five joints: the last two mimic the first two, by (leader, ratio, offset).
+        self.values: list[Any] = []  # Each function turns qpos of a keyframe into pairs of joint name and value.
+        # Of the five joints that replace a limited ball joint, the last two mimic the first two: (leader, ratio, offset) by name.
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
-    def read(self) -> Read:
-        """Write the whole model as URDF."""
+    def read(self) -> Urdf:
+        """Convert the whole compiled model, and return the URDF with all that a URDF cannot hold."""
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)
         joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
         self._doubtful(joints)
-        ties = read_ties(model, joints, bodies)
+        ties = TieReader(model, joints, bodies).read()
         self.notes += ties.notes
         for i, body in enumerate(model["bodies"][1:], 1):
             own = [j for j, joint in enumerate(model["joints"]) if joint["body"] == i]
@@ -142,7 +130,8 @@ class _Writer:
         if self.left_out:
             self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
         pairs = {(bodies[i], bodies[j]): "exclude" for i, j in model["excludes"]}
-        return Read(to_text(self.robot), Srdf(states=self._states(), disabled=pairs), self.notes, ties.constraints)
+        srdf = Srdf(states=self._states(), disabled=pairs)
+        return Urdf(to_text(self.robot), tuple(self.notes), srdf, ties.constraints)
 
     def _states(self) -> dict[str, dict[str, dict[str, tuple[float, ...]]]]:
         """Return the configurations of the keyframes; one whose qpos has a value that is not finite is left out, with a note."""

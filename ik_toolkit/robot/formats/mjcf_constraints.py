@@ -15,16 +15,15 @@ from ..constraints import Constraint, End, LinearLength, Loop, Relation
 from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
-SCALAR = ("hinge", "slide")
-JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # MuJoCo gives the parts of a tendon these numbers.
+JOINT, PULLEY, SITE = 1, 2, 3  # the kinds of parts of a tendon in MuJoCo; others are shapes around which it runs
 
 
 class Ties(NamedTuple):
     """The equalities and tendons of a model, converted to mimic joints, fixed joints, limits and constraints.
 
-    `tied` maps a follower's name to (leader, ratio, offset), `held` a joint's index to the value at which it is fixed,
-    `ranges` a joint's index to its limits [rad or m]. `constraints` lists what no mimic joint can express, `notes` has a
-    sentence on everything that is ignored or converted to another form.
+    `tied` maps the name of a mimic joint to (leader, ratio, offset), `held` the index of a joint to the value [rad or m] at which
+    it is fixed, and `ranges` the index of a joint to its limits [rad or m]. `constraints` lists what no mimic joint can express,
+    and `notes` has a sentence on all that is ignored or converted to another form.
     """
 
     tied: dict[str, tuple[str, float, float]]
@@ -34,20 +33,15 @@ class Ties(NamedTuple):
     notes: list[str]
 
 
-def read_ties(model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> Ties:
-    """Read the equalities and tendons of a compiled model; joints and bodies are lists of names by MuJoCo's numbers."""
-    return _Reader(model, joints, bodies).read()
-
-
-class _Reader:
-    """Reads the equalities and tendons of one model."""
+class TieReader:
+    """Converts the equalities and tendons of a model that MuJoCo compiled; `joints` and `bodies` are the names, in its order."""
 
     def __init__(self, model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> None:
         self.model, self.joints, self.bodies = model, joints, bodies
         self.lengths = [self._tendon(tendon) for tendon in model["tendons"]]
 
     def read(self) -> Ties:
-        """Solve the linear equalities for followers and held joints, and return all other equalities as constraints."""
+        """Turn linear equalities into mimic joints and fixed joints, and return them with all other equalities as constraints."""
         equations, curved, notes = [], [], []
         for equality in self.model["equalities"]:
             if not equality["active"]:

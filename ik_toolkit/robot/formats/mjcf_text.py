@@ -9,12 +9,12 @@ from ...errors import ModelError
 from ..geometry.meshes import lies_in
 from .urdf import CAPS, check_names, source_text, walk
 
-MAX_COPIES = 20_000  # Limit on the number of elements after replication, and of keyframes times bodies.
+MAX_COPIES = 20_000  # Limit on the number of elements after <replicate> is expanded, and on keyframes times bodies.
 MAX_INCLUDES = 200  # Limit on the number of included files. The largest model of the MuJoCo Menagerie has 5.
 KEPT = ("compiler", "default", "asset", "worldbody", "contact", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
-# A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
+# Every mesh file is replaced by this tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
 TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 
 
@@ -22,8 +22,9 @@ TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 class Flat:
     """MJCF text with all references to files removed.
 
-    meshes maps the name of each mesh to the path of its file, with the compiler's mesh folder in front, relative to the model's
-    folder unless absolute. origins maps the name of a mesh to its refpos and refquat, if it has them. notes: what was left out.
+    `xml` is the text. `meshes` maps the name of each mesh to the path of its file, relative to the folder of the model unless it is
+    absolute. `origins` maps the name of a mesh to its attributes refpos and refquat, if it has them. `notes` are sentences on what
+    was left out.
     """
 
     xml: str
@@ -49,7 +50,7 @@ def tree(text: str) -> ET.Element:
 
 
 class Flattener:
-    """Inlines the includes of a file, all of which must lie inside the given folders."""
+    """Replaces the <include> elements of an MJCF file by the included files, which must lie inside the given folders."""
 
     def __init__(self, path: Path | None, folders: list[Path]) -> None:
         self.home = path.resolve().parent if path else None
@@ -76,7 +77,7 @@ class Flattener:
         return there
 
     def put_in(self, element: ET.Element, beside: Path | None, above: tuple[Path, ...]) -> None:
-        """Replace the includes below an element with their contents."""
+        """Replace the <include> elements below an element, in place, by the contents of the files that they name."""
         children: list[ET.Element] = []
         for child in element:
             if child.tag != "include":
@@ -100,7 +101,7 @@ class Flattener:
 
 
 def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
-    """Return an MJCF model as a single text without file references. Raises ModelError."""
+    """Return an MJCF text without <include> elements and with placeholders for its mesh files. Raises ModelError."""
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
@@ -130,7 +131,7 @@ def _check_copies(root: ET.Element) -> None:
     """Raise ModelError if <replicate> would make more elements than any robot has."""
     if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
         raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
-    # MuJoCo would take seconds to compile that many elements, which are refused afterwards anyway.
+    # MuJoCo would take seconds to compile so many elements, only for them to be refused afterwards.
     for tag in ("body", "joint", "geom", "site"):
         if sum(1 for world in root.iter("worldbody") for _ in world.iter(tag)) > MAX_COPIES:
             raise ModelError(f"it has more than {MAX_COPIES:,} elements <{tag}>; it is not read")
@@ -144,7 +145,7 @@ def _copies(element: ET.Element) -> int:
     try:
         return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return inside  # the count is invalid, which MuJoCo itself reports
+        return inside  # MuJoCo reports the invalid count.
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
@@ -153,7 +154,7 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
         found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
-        # The last two are of older files; MuJoCo refuses them today.
+        # The last two of these attributes occur in older files; today MuJoCo refuses them.
         for attribute in ("meshdir", "texturedir", "assetdir", "strippath", "exactmeshinertia", "convexhull"):
             compiler.attrib.pop(attribute, None)
     return found
@@ -176,7 +177,7 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
             flat.notes.append(f"a <{child.tag}> of <contact> is left out")
             continue
         if child.tag == "geom" and "mesh" in child.attrib:
-            # MuJoCo would fit a shape of another type to the placeholder of the mesh.
+            # For a shape of another type with a mesh MuJoCo would fit the shape to the placeholder of the mesh.
             if child.get("type", "mesh") != "mesh":
                 flat.notes.append(
                     f"mesh '{child.get('mesh')}' itself is read where a {child.get('type')} is fitted to it"

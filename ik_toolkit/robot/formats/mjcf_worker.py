@@ -20,17 +20,17 @@ from ik_toolkit.robot.formats.sandbox import limit
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 EQUALITIES = ("connect", "weld", "joint", "tendon")
-SITE = 6  # MuJoCo marks an equality between sites by this number.
-MOST = 20_000  # A model with more bodies, joints, geoms, sites, equalities or tendons is refused.
+SITE = 6  # MuJoCo marks an equality as one between sites by this number.
+MOST = 20_000  # A model with more than this many bodies, joints, geoms, sites, equalities or tendons is refused.
 
 
 def pose_dict(pos: Any, quat: Any) -> dict:
-    """Return a position [m] and a quaternion (w x y z) as a dict."""
+    """Return a position (3,) [m] and a quaternion (4,) w, x, y, z as a dict of lists, ready for JSON."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
 def equalities(m: Any) -> dict:
-    """Return the equalities and tendons of a compiled model."""
+    """Return the equalities and tendons of a compiled MuJoCo model as a dict, ready for JSON."""
     return {
         "equalities": [
             {
@@ -60,7 +60,7 @@ def equalities(m: Any) -> dict:
 
 
 def describe(m: Any) -> dict:
-    """Return the bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
+    """Return all that is read of a compiled MuJoCo model as a dict, ready for JSON; {"error": sentence} if it is too large."""
     if max(m.nbody, m.njnt, m.ngeom, m.nsite, m.neq, m.ntendon, m.nwrap) > MOST:
         return {"error": f"it has more than {MOST:,} bodies, joints, geoms, sites, equalities or tendons"}
 
@@ -127,14 +127,14 @@ def _main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
-    os.environ["MUJOCO_GL"] = "disable"  # nothing is drawn, and to look for OpenGL takes a quarter of the time
+    os.environ["MUJOCO_GL"] = "disable"  # The search for OpenGL, which is not needed, would take a quarter of the time.
     mujoco: Any = importlib.import_module("mujoco")
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
     try:
         answer = describe(mujoco.MjModel.from_xml_string(job["xml"]))
-    except Exception as error:  # MuJoCo can raise any exception.
+    except Exception as error:  # MuJoCo can raise an exception of any type.
         answer = {"error": " ".join(str(error).split())[:300] or type(error).__name__}
     print("\n" + json.dumps(answer))
 

@@ -15,9 +15,10 @@ from ...errors import ModelError
 def run(
     script: Path, does: str, job: Mapping[str, Any], seconds: float, folder: str | None = None, **environment: str
 ) -> tuple[list[str], bool]:
-    """Run a script with a job (JSON on stdin) and return the lines it prints, and whether it ended within a wall time [s].
+    """Run a Python script in a process and return the lines it printed, and whether it ended within `seconds` of wall time.
 
-    `does` says in messages what the process is for. Raises ModelError if it cannot be started.
+    The script gets `job` as JSON on its standard input. `does` completes "the process that ..." in an error message, `folder` is
+    its working directory and `environment` has further environment variables. Raises ModelError if it cannot be started.
     """
     try:
         done = subprocess.run(
@@ -42,10 +43,10 @@ def run(
 def ask(
     script: Path, does: str, silent: str, *, memory: int, seconds: int, folder: str | None = None, **job: Any
 ) -> dict[str, Any]:
-    """Run a script and return the JSON on its last line, which is {"error": sentence} after a failure.
+    """Run a Python script in a process and return the JSON in the last line that it prints; {"error": sentence} after a failure.
 
-    `silent` is the error if it prints nothing. memory [bytes] and seconds of processor time are caps that the script sets for
-    itself; nothing in a file makes it wait, so on an idle machine the wall time is the same.
+    The script gets `job` as JSON on its standard input, with `memory` [bytes] and `seconds` of processor time, which it sets as its
+    own limits. `silent` is the error sentence if it prints nothing. `does` completes "the process that ..." in an error message.
     """
     job |= {"memory": memory, "seconds": seconds}
     # The limit on wall time allows for a busy machine, on which other processes hold the processor.
@@ -57,7 +58,7 @@ def ask(
 
 
 def limit(what: str, value: int) -> None:
-    """Limit a resource of this process where the system supports it."""
+    """Lower the limit of a resource of this process, such as 'CPU' [s] or 'AS' [bytes], where the system supports it."""
     with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
         import resource
 

@@ -18,25 +18,25 @@ from ...text import first_few
 from ..probe import find_path
 from .finding import did_you_mean
 from .srdf_text import EndEffector, Group, contents
-from .urdf import source_text
+from .urdf import is_text, source_text
 from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
 BESIDE = ("", "../srdf")  # folders in which the SRDF is searched for, relative to that of the URDF
 MOST = 64  # at most this many SRDF files are read in each folder
 SHOWN = 3  # A remark lists at most this many names.
-State = Mapping[str, tuple[float, ...]]  # A state maps a joint to its values.
+State = Mapping[str, tuple[float, ...]]  # joint values [rad or m] by name of joint
 
 
 @dataclass(frozen=True)
 class Srdf:
     """The contents of an SRDF.
 
-    `name` is the robot's, `path` the file or None for text. `states` maps a configuration to its groups ('' if none is
-    given), and each group to joint values [rad or m]. `virtual_joints` tie the robot to the world; no URDF has them.
-    `disabled` maps pairs of links that may touch to a reason; a link in `quiet` may touch everything but its partners in
-    `enabled`. `remarks` are sentences on contents that cannot be used. Configurations of `group`, the group chosen by the
-    user, take precedence.
+    `name` is that of the robot, `path` the file or None for text. `states` maps the name of a configuration to its groups ('' if
+    none is given), and each group to joint values [rad or m]. `virtual_joints` names the joints that tie the robot to the world,
+    which the URDF lacks. `disabled` maps pairs of links that may touch to a reason; a link in `quiet` may touch all links except
+    those with which it forms a pair in `enabled`. `remarks` are sentences on contents that cannot be used. `group` is the group
+    chosen by the user, whose configurations take precedence.
     """
 
     name: str = ""
@@ -65,15 +65,11 @@ class Srdf:
         }
         if self.group in given:
             given = {self.group: given[self.group]}
-        if len(given) > 1:
-            order = sorted(
-                given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]}))
-            )
-            given = {group: given[group] for group in order}
+        order = sorted(given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]})))
         found: dict[str, float] = {}
-        for values in given.values():
-            if not found.keys() & values.keys():
-                found |= values
+        for group in order:
+            if not found.keys() & given[group].keys():
+                found |= given[group]
         return {joint: x for joint, x in found.items() if joint in joints}
 
     def _fits(self, group: str, tips: Sequence[str], model: pin.Model) -> bool:
@@ -84,7 +80,7 @@ class Srdf:
             return False
 
     def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
-        """Return the pairs of these links that need no collision test, each with the reason."""
+        """Return the pairs of links among `links` that need no collision test, each with the reason that the SRDF gives."""
         known, out = set(links), dict[tuple[str, str], str]()
         on = {frozenset(pair) for pair in self.enabled}
         for link in known.intersection(self.quiet):
@@ -190,17 +186,16 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
     given: str | Path = expanded(source)
-    text = source_text(given, "SRDF")
-    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
-    return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
+    path = None if is_text(given) else Path(given).expanduser().absolute()
+    return Srdf(path=path, **contents(source_text(given, "SRDF")))
 
 
 def srdf_of(given: Any, model: pin.Model, path: Path | None, own: Srdf, group: str | None = None) -> Srdf:
     """Return the Srdf that belongs to a model read from `path`.
 
-    It is the given one; if that is None, the one next to the file, if any (see `srdf_beside`); if it is False, an empty
-    one. `own` has the configurations and pairs of the description itself; the SRDF's override them. `group` is the chosen
-    one.
+    It is read from `given`, a file or text; if that is None, from the SRDF file beside `path`, if there is one; if it is False, it
+    is empty. `own` has configurations and pairs of links from the description itself (MJCF), which the SRDF overrides. `group` is
+    the name of the group chosen by the user.
     """
     if not isinstance(group, str | None):
         raise InvalidOption(f"group takes the name of one group of the SRDF, not {group!r:.60}")
@@ -251,10 +246,10 @@ def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tu
 def passive_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
-    """Return for each locked or passive joint the value [rad or m] at which it is held, and whether it counts as locked.
+    """Return by name the joints to hold, each with its value [rad or m] and whether it is to be listed as locked.
 
-    A passive joint counts if it lies on the path between the frames base and tip. If only passive joints lie there,
-    none is held.
+    These are the joints in `locked` and the passive joints of the SRDF; a passive joint is listed only if it lies between the
+    frames base and tip (ids). If all joints between these frames are passive, none of them is held.
     """
     given = {joint: (value, True) for joint, value in locked.items()}
     passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]

@@ -9,8 +9,8 @@ from typing import Any
 from ...errors import ModelError
 from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
-MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
-# Maps each element that is read to the attributes that it must have. A <group_state> without its own is left out, with a remark.
+MEMBERS = ("link", "joint", "chain", "group")  # the elements that a <group> may contain
+# By element: the attributes that it must have. A <group_state> that lacks one is left out with a remark; others are errors.
 NEEDED = {
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
@@ -40,8 +40,8 @@ class Group:
 class EndEffector:
     """An end effector of a robot.
 
-    `parent_link` is the link that carries it, `group` has its own parts, and `parent_group` is the group it is mounted
-    on ('' if the SRDF does not say).
+    `parent_link` is the link that carries it, `group` the name of the group of its own parts, and `parent_group` that of the arm
+    on which it is mounted ('' if the SRDF does not say).
     """
 
     name: str

@@ -26,23 +26,25 @@ class UrdfCaps(NamedTuple):
     elements: int = 200_000
     depth: int = 64
     attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
-    name: int = 255  # Limit on the characters of a name, as for a file name, because messages repeat names.
-    tag: int = 1_000_000  # Limit on the bytes of a tag or comment, which the parser keeps in memory as a whole.
+    name: int = 255  # A name may have as many characters as a file name, because messages repeat names.
+    tag: int = (
+        1_000_000  # A tag or comment with more bytes is refused, because the parser keeps it in memory as a whole.
+    )
     chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
 
 
 CAPS = UrdfCaps()
-BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
-ENDLESS = 1e16  # A joint limit of this size means "no limit".
-# number of degrees of freedom by joint type
+BLANK = "\ufeff \t\r\n"  # characters that may precede the first < of XML: blanks and the byte order mark
+ENDLESS = 1e16  # A limit of position, velocity or effort of this size means "no limit".
+# by joint type: its number of degrees of freedom
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-SIZES = {  # Maps a shape to its attributes of sizes, and each to how many numbers it holds.
+SIZES = {  # by shape: its attributes with sizes, and how many numbers each of them holds
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
 }
-NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
+NUMBERS = {  # by element: its attributes with numbers, and how many numbers each of them holds
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "mimic": {"multiplier": 1, "offset": 1},
@@ -52,18 +54,18 @@ NUMBERS = {  # Maps an element to its attributes of numbers, and each to how man
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 ITEMS = ("link", "joint", "material")
-# A description that has one of these xacro elements must be expanded by xacro.
+# A description with one of these elements must be expanded by xacro.
 # A call of a macro alone does not count, because plain URDFs contain leftover calls that cannot be expanded.
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
-NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # These elements have attributes that hold names.
+NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements with an attribute that is a name
 
 
 class InnerElement(NamedTuple):
-    """An element below a link, joint or material.
+    """An element inside a link, joint or material.
 
-    `above` has the tags between the two, outermost first.
+    `above` has the tags of the elements between it and the link, joint or material, outermost first.
     """
 
     tag: str
@@ -88,7 +90,7 @@ class Item:
 
     @property
     def name(self) -> str:
-        """The name of the element, or '' if it has none."""
+        """The attribute `name` of the element, or '' if it has none."""
         return self.attributes.get("name", "")
 
     def __str__(self) -> str:
@@ -96,7 +98,7 @@ class Item:
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
     def own(self, tag: str) -> list[InnerElement]:
-        """Return the inner elements with this tag that lie directly below this item."""
+        """Return the elements with this tag that are children of this link, joint or material (not deeper)."""
         return [part for part in self.inside if part.tag == tag and not part.above]
 
     def first(self, tag: str) -> Mapping[str, str] | None:
@@ -105,11 +107,11 @@ class Item:
 
 
 class HasMacros(ModelError):
-    """The description has macros, which xacro must expand first."""
+    """Raised for a description with xacro macros, which must be expanded before it can be read as URDF."""
 
 
 class IsMjcf(ModelError):
-    """The description is MJCF, which MuJoCo must compile first."""
+    """Raised for a description in MJCF, which MuJoCo must compile before it can be written as URDF."""
 
 
 def is_text(source: object) -> bool:
@@ -164,7 +166,7 @@ def _read_file(path: Path) -> str:
 
 @functools.lru_cache(maxsize=4)
 def parse(text: str) -> list[Item]:
-    """Parse URDF text into the robot, links, joints and materials in the order of the text.
+    """Parse URDF text into Items: the robot, links, joints and materials, in the order of the text.
 
     Raises ModelError if it is no URDF or exceeds a limit.
     """
@@ -189,12 +191,11 @@ def parse(text: str) -> list[Item]:
             if joints > CAPS.joints:
                 raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
-        elif above[1] in ITEMS:
+        # A parent of a joint outside the robot's own elements is kept, because it shows a joint in a wrong place.
+        elif above[1] in ITEMS or (tag == "parent" and above[-1] == "joint" and "link" in attributes):
             items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
-        elif tag == "parent" and above[-1] == "joint" and "link" in attributes:  # a joint of URDF in a wrong place
-            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
 
     walk(text, "URDF", start)
     freedoms = [(FREEDOM.get(item.attributes.get("type", ""), 0), item) for item in items if item.tag == "joint"]
@@ -208,7 +209,7 @@ def parse(text: str) -> list[Item]:
 
 
 def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
-    """Raise ModelError if one of the attributes holds a name that is too long."""
+    """Raise ModelError if an attribute that holds a name (of a link, joint or material) is too long."""
     if any(len(value) > CAPS.name for value in attributes.values()):
         raise ModelError(f"the {what} has a name of more than {CAPS.name} characters in line {line}; it is not read")
 
@@ -284,7 +285,7 @@ def finite_at(attributes: Mapping[str, str] | None, key: str, count: int = 1, de
 
 
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the attributes of an <origin> with its quaternion as rpy.
+    """Return the attributes of an <origin> with roll, pitch and yaw (rpy) in place of a quaternion.
 
     They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is not a rotation.
     """
@@ -300,9 +301,9 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
 
 
 def limits_of_joint(joint: Item) -> tuple[float, float]:
-    """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, and within +-ENDLESS.
+    """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, at most +-1e16 (no limit).
 
-    A mimic joint whose <limit> is missing, or gives neither, is limited only through its leader; its limits are then +-ENDLESS.
+    A mimic joint whose <limit> is missing, or gives neither, is limited only by its leader; its limits are then +-1e16.
     """
     limit = joint.first("limit") or {}
     led = joint.first("mimic") is not None and not limit.keys() & {"lower", "upper"}
@@ -340,9 +341,9 @@ TEXTS = re.compile(
 
 
 def decode(raw: bytes, name: str) -> str:
-    """Decode a file and return its text, without an encoding in the XML declaration.
+    """Decode the bytes of an XML file and return its text, whose XML declaration then names no encoding.
 
-    The name of the file appears in error messages. Raises ModelError if the bytes are not text in the encoding found.
+    `name` is that of the file, for messages. Raises ModelError if the bytes are not text in the encoding found.
     """
     codec = next((codec for mark, codec in MARKS if raw.startswith(mark)), None)
     head = DECLARED.match(raw[:1024].decode("latin-1")) if codec is None else None

@@ -19,7 +19,7 @@ from .mimic import followers
 from .urdf import ITEMS, SIZES, InnerElement, Item, is_text, parse, safe_read
 from .urdf_values import check_all_zero, check_joint, link_values, unversioned
 
-HINTS = 10  # largest number of searches for similar names per file, because each compares a name with all others
+HINTS = 10  # At most this many similar names are searched for in a file, because each is compared with all others.
 
 
 def check_urdf(
@@ -52,10 +52,10 @@ def check_urdf(
 
 
 def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
-    """Return the warnings, a sentence each, that loading a URDF reports.
+    """Check a URDF text before it is loaded; return the warnings that loading logs, a sentence each.
 
-    Raises ModelError, which names the first invalid element of the kinematics, if there is one (`check_urdf` lists
-    all). `lines` tells whether line numbers of the text are those of the file, and so may be named.
+    Raises ModelError, which names the first error, if there is one (`check_urdf` lists all). `lines` tells whether line numbers of
+    the text are those of the file, and so may be named.
     """
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]
@@ -67,7 +67,7 @@ def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
 
 @functools.lru_cache(maxsize=4)
 def findings(text: str) -> tuple[Finding, ...]:
-    """Return the errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
+    """Return the errors and warnings about a URDF text that can be parsed, without those about its mesh files."""
     return tuple(_findings(text))
 
 
@@ -129,7 +129,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # findings about roots and cycles would only be consequences of the broken joints
+        return  # With broken joints, errors about roots and cycles would only be consequences.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
@@ -173,7 +173,7 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
-ELEMENTS: Mapping[str, tuple[str, ...]] = {  # This maps an element to the elements that it may contain.
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # by element: the elements that it may contain
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
@@ -192,12 +192,12 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     **{tag: tuple(sizes) for tag, sizes in SIZES.items()},
     "mesh": ("filename", "scale"),
 }
-# No software adds its own attributes to these elements, so an unknown one is probably misspelled.
+# by element: its attributes. No software adds its own to these elements, so an unknown attribute is probably misspelled.
 CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
-MOST = 500  # largest number of unknown names in a file that are compared with known ones, to bound the time
-# similarity (0 to 1) from which an unknown name counts as misspelled; "gear_velocity" is below it for "velocity"
+MOST = 500  # At most this many unknown names in a file are compared with known ones, to bound the time.
+# A name at least this similar (0 to 1) to a known one counts as misspelled; "gear_velocity" is less similar to "velocity".
 NEAR = 0.82
 
 

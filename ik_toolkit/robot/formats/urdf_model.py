@@ -19,9 +19,9 @@ INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def build_model(text: str) -> pin.Model:
-    """Build Pinocchio's model of a URDF that `require_loadable` has accepted. Raises what Pinocchio raises.
+    """Build a Pinocchio model of a URDF text that was checked before. Raises what Pinocchio raises.
 
-    A mimic joint whose leader does not exist stays fixed; one whose leader follows another joint follows that one, too.
+    A mimic joint whose leader does not exist stays fixed. If the leader is itself a mimic joint, both follow the same joint.
     """
     items, found = parse(text), followers(text)
     # Pinocchio traverses the tree depth first by name, so joints temporarily get names that sort in the required order.
@@ -41,7 +41,10 @@ def build_model(text: str) -> pin.Model:
 
 
 def motion_text(items: Sequence[Item], found: Followers, lent: Mapping[str, str]) -> str:
-    """Write the links and joints as a URDF that urdfdom reads without a warning; `lent` maps a joint to its temporary name."""
+    """Write links and joints, without shapes, as a URDF that the parser of Pinocchio reads without a warning.
+
+    `lent` maps the name of a joint to the temporary one that it gets in the text.
+    """
     both = {*found.tied, *(tie.leader for tie in found.tied.values())}
     rows = [f'<robot name="{_quoted(items[0].name or "robot")}">']
     for item in items:
@@ -83,9 +86,9 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
 
 
 def axis_of(joint: Item) -> list[float]:
-    """Return the axis of a joint: x if none is given, as in URDF.
+    """Return the three numbers of the <axis> of a joint: the x axis if it has none, as in URDF.
 
-    An axis too long for Pinocchio to square is shortened.
+    An axis so long that its square overflows is shortened.
     """
     axis = finite_at(joint.first("axis"), "xyz", 3, "1 0 0")
     length = math.hypot(*axis)

@@ -9,7 +9,7 @@ from .urdf import ENDLESS, NUMBERS, SHAPES, SIZES, InnerElement, Item, attribute
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
 UNIT = 0.01  # The length of a quaternion or an axis may differ from 1 by this much before it is reported.
-DEGREES = (30.0, 360.0)  # A number in this range with at most one decimal is taken for degrees rather than radians.
+DEGREES = (30.0, 360.0)  # A limit in this range with at most one decimal is taken for degrees rather than radians.
 IN_DEGREES = "radians are meant: write 3.14159 for 180 degrees"
 UNUSED = "without it the joint counts as having no such limit; other readers of URDF refuse the file"
 
@@ -172,12 +172,12 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         advice = "write them; other readers of URDF take 0 to 0, or refuse the file"
         yield odd(joint, f"{told}: it moves as far as its leader does", advice, parts[0].line if parts else joint.line)
     if not parts:
-        if kind == "revolute" and not led:
-            yield error_finding(
-                joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line
-            )
-        elif kind == "prismatic" and not led:
-            yield error_finding(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
+        advice = {
+            "revolute": "add lower and upper [rad], or make it continuous",
+            "prismatic": "add lower and upper [m]",
+        }
+        if kind in advice and not led:
+            yield error_finding(joint, "it has no <limit>", advice[kind], joint.line)
         return
     limit, line = parts[0].attributes, parts[0].line
     for key in ("effort", "velocity"):
@@ -224,7 +224,7 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
 
 
 def reversed_advice(low: float, high: float, turns: bool) -> str:
-    """Return advice on reversed limits, which may mean either of two ranges."""
+    """Return advice, the end of a sentence, on a lower limit above the upper one, which may mean either of two ranges."""
     swapped = f"swap them if {high:g} to {low:g} is meant"
     if not turns:
         return swapped + f", or change their signs and the axis if {-low:g} to {-high:g} is meant" * bool(low != -high)

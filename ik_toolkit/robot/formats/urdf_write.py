@@ -11,7 +11,7 @@ COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": 
 
 
 def new_robot(name: str) -> ET.Element:
-    """Return an empty <robot> that defines the materials."""
+    """Return a <robot> element with this name that has only the materials used by the other functions of this file."""
     robot = ET.Element("robot", name=name)
     for colour, rgba in COLOURS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
@@ -25,7 +25,7 @@ def to_text(robot: ET.Element) -> str:
 
 
 def add_link(robot: ET.Element, name: str) -> ET.Element:
-    """Append an empty link and return it."""
+    """Append a <link> without shapes to a robot element and return it."""
     return ET.SubElement(robot, "link", name=name)
 
 
@@ -39,10 +39,10 @@ def add_joint(
     limit: Mapping[str, float] | None = None,
     axis: Sequence[float] | np.ndarray = (0.0, 0.0, 1.0),
 ) -> ET.Element:
-    """Append a joint at the pose T (4x4) [m] in the parent link and return it; one with a limit moves about or along the axis.
+    """Append a joint at the pose T (4, 4) [m] in the parent link to a robot element and return it.
 
-    The limits are lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which Pinocchio
-    requires.
+    A joint that moves has a `limit` with lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which
+    Pinocchio requires. It moves about or along `axis`.
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     origin(joint, T)
@@ -57,9 +57,9 @@ def add_joint(
 def add_shape(
     link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
 ) -> None:
-    """Append a visual, and if it is solid a collision shape: a 'box' (x, y, z) or a 'cylinder' (radius, length on z) [m]."""
+    """Append a shape to a link, as visual and if `solid` as collision: 'box' (x, y, z) or 'cylinder' (radius, length) [m]."""
     if min(size) <= 0.0:
-        return  # A prismatic joint without a stroke has no tube to draw.
+        return  # The tube of a prismatic joint without a stroke has the length 0 and is not drawn.
     ET.SubElement(_add_part(link, "visual", shape, size, T), "material", name=colour)
     if solid:
         _add_part(link, "collision", shape, size, T)
@@ -77,9 +77,9 @@ def _add_part(link: ET.Element, tag: str, shape: str, size: Sequence[float], T: 
 
 
 def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a bar from a to b [m]: round along z, otherwise a flat-sided boom.
+    """Add the shapes of a bar from point a to point b (3,) [m] to a link: a cylinder if it is along z, else a box.
 
-    Its collision shape ends before the joint drums.
+    Its collision shape is shorter, so that it does not touch the joints at its ends.
     """
     length = float(np.linalg.norm(b - a))
     T = _along(a, b)
@@ -94,7 +94,7 @@ def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
 
 
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a palm and two fingers whose ends enclose the point b [m]."""
+    """Add the shapes of a gripper to a link: a palm, and two fingers whose ends are on both sides of the point b (3,) [m]."""
     size = min(r, float(np.linalg.norm(b - a)) / 5.2)
     T = _along(a, b)
     T[:3, 3] = b
@@ -125,12 +125,12 @@ def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- text
 def origin(parent: ET.Element, T: np.ndarray) -> None:
-    """Append an <origin> for the pose T (4, 4) [m]."""
+    """Append an <origin> with the pose T (4, 4) [m] to an element."""
     ET.SubElement(parent, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(matrix_rpy(T[:3, :3])))
 
 
 def numbers_text(values: Sequence[float] | np.ndarray) -> str:
-    """Write numbers as an attribute that reads back unchanged."""
+    """Return numbers as the text of an XML attribute with all digits, so that reading it gives the same numbers."""
     return " ".join(_text(value) for value in values)
 
 

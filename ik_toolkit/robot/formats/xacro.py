@@ -14,8 +14,8 @@ from ...errors import InvalidOption, MissingExtra, ModelError, near_match
 from .sandbox import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
-MEMORY = 1_000_000_000  # Memory cap [bytes] of the process. Large robots take 0.1 GB.
-# Cap on processor time [s], in addition to the limit on evaluation steps. Robots take 0.1 to 0.3 s.
+MEMORY = 1_000_000_000  # Memory cap [bytes] of the process that expands a file. Large robots take 0.1 GB.
+# Cap on the processor time [s] of that process, whose evaluation steps are limited too. Robots take 0.1 to 0.3 s.
 SECONDS = 3
 ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 
@@ -26,9 +26,9 @@ def has_macros(srdf: Any) -> bool:
 
 
 def expanded(srdf: Any, package_dirs: Iterable[str | Path] = (), arguments: Mapping[str, object] | None = None) -> Any:
-    """Return the text of an SRDF if it is given as the name of a xacro file, and anything else unchanged.
+    """Return the option `srdf` with a xacro file replaced by the SRDF text to which it expands; anything else unchanged.
 
-    Raises what `expand` raises.
+    Raises MissingExtra without xacro, InvalidOption for wrong arguments, ModelError.
     """
     return expand(Path(srdf), package_dirs, arguments, "group") if has_macros(srdf) else srdf
 

@@ -23,7 +23,7 @@ CAPS = XacroFileCaps()
 
 
 class Files:
-    """Files below the allowed folders, after symbolic links are followed, with a count of what has been read."""
+    """Reads files that lie, with symbolic links resolved, below allowed folders, and counts the bytes read in all."""
 
     def __init__(self, folders: list[str]) -> None:
         """Store the allowed folders."""
@@ -31,7 +31,7 @@ class Files:
         self.bytes = 0
 
     def read(self, path: str, most: int) -> bytes:
-        """Return the bytes of a file.
+        """Return the contents of a file of at most `most` bytes.
 
         Raises Refused if it is not allowed or too large, FileNotFoundError if it is allowed but does not exist.
         """
@@ -53,13 +53,13 @@ class Files:
         return raw
 
     def xml(self, path: str) -> Any:
-        """Return the document of an XML file. Raises Refused, ModelError."""
+        """Return an XML file parsed by xml.dom.minidom. Raises Refused if it is not allowed or too large, ModelError."""
         text = decode(self.read(path, CAPS.bytes), os.path.basename(path))
-        walk(text, "file", lambda *element: None)  # called only because it checks the text
+        walk(text, "file", lambda *element: None)  # This parse raises an error if the text exceeds a limit.
         return minidom.parseString(text)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Return the values of a YAML file; `number` evaluates an expression, used for values with a unit. Raises Refused."""
+        """Return the contents of a YAML file; `number` evaluates a value with a unit, such as !degrees 90. Raises Refused."""
         import yaml
 
         raw = self.read(path, CAPS.yaml_bytes)
@@ -68,7 +68,7 @@ class Files:
 
         for unit, factor in UNITS.items():
             Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        # A date, such as that of a calibration, stays text.
+        # A date (such as that of a calibration) and binary data stay text.
         for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:
@@ -80,7 +80,7 @@ class Files:
 
 
 def check_yaml_size(events: Any) -> None:
-    """Raise Refused for YAML that is nested too deep, or too large once its anchors are expanded."""
+    """Raise Refused if the YAML parse `events` show that it is nested too deep, or too large once its anchors are expanded."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]
     for event in events:

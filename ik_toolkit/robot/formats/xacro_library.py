@@ -14,7 +14,7 @@ MATH = (
 
 
 def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
-    """Return the functions and constants that a xacro file may use, by namespace: '' (none), 'python' and 'math'."""
+    """Return the functions and constants that xacro expressions may use, by namespace: 'python', 'math' or '' (none)."""
 
     def listed(value: Any) -> list[Any]:
         return [*evaluator.members(value)]
@@ -26,7 +26,7 @@ def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
         return tuple(one.kind for one in every)
 
     def factorial(n: int) -> int:
-        check_bits(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
+        check_bits(n * n if n > 0 else 0)  # The factorial of n has fewer than n^2 bits.
         return math.factorial(n)
 
     def rounded(value: float, digits: int | None = None, ndigits: int | None = None) -> float:
@@ -39,16 +39,11 @@ def library(evaluator: Evaluator) -> dict[str, dict[str, Any]]:
         small(len(range(*given)) if all(abs(one) < 2**62 for one in given) else LARGEST + 1)
         return range(*given)
 
-    def texts(value: Any = "") -> str:
-        return str(value)
-
-    def ordered(members: Any, key: Any = None, reverse: bool = False) -> list[Any]:
-        return sorted(listed(members), key=key, reverse=bool(reverse))
-
     plain = {
-        "list": lambda value=(): listed(value), "dict": dict, "len": len, "str": texts, "float": float, "int": int, "bool": bool,
+        "list": lambda value=(): listed(value), "dict": dict, "len": len, "float": float, "int": int, "bool": bool,
         "map": lambda does, *given: [does(*members) for members in zip(*map(listed, given), strict=False)],
-        "min": min, "max": max, "round": rounded, "sorted": ordered, "range": ranged,
+        "min": min, "max": max, "round": rounded, "range": ranged, "str": lambda value="": str(value),
+        "sorted": lambda members, key=None, reverse=False: sorted(listed(members), key=key, reverse=bool(reverse)),
     }  # fmt: skip
     more = {
         "abs": abs, "all": all, "any": any, "divmod": divmod, "sum": total, "ord": ord, "repr": repr, "hash": hash,

@@ -11,7 +11,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-STEPS = 150_000  # Limit on the steps of a whole file. The largest xacro robot of rtb-data takes 3,000.
+STEPS = 150_000  # Limit on the evaluation steps of a whole file. The largest xacro robot of the package rtb-data takes 3,000.
 LONGEST = 20_000  # Limit on the characters of a text with expressions.
 LARGEST = 100_000  # Limit on the characters and members of a value; shared ones count as often as they appear.
 BITS = 4096  # Limit on the bits of a whole number.
@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# names, used in messages, of parts of an expression that are refused
+# by type of syntax tree node that is refused: its name in messages
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -40,11 +40,11 @@ WORDS = {
 
 
 class Refused(Exception):
-    """A file uses something that is not allowed, or exceeds a limit; the message says what."""
+    """Raised for a xacro file that uses something that is not allowed, or exceeds a limit; the message says what."""
 
 
 class Function:
-    """A function that a file may call, and may pass to `map` and similar functions."""
+    """A function that xacro expressions may call, and may pass to `map` and similar functions."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
         """Store name, Python function, type for `isinstance`, and whether it checks the size of its own result."""
@@ -60,26 +60,26 @@ class Function:
 
 
 class Evaluator:
-    """Evaluates the expressions of one file and counts what they cost."""
+    """Evaluates the expressions of one xacro file without `eval`, and counts steps, so that none runs too long."""
 
     def __init__(self) -> None:
         """Begin with no step counted."""
         self.left = STEPS
 
     def spend(self, steps: int = 1) -> None:
-        """Count some steps. Raises Refused after too many."""
+        """Add steps to the count of the whole file. Raises Refused if they are too many."""
         self.left -= steps
         if self.left < 0:
             raise Refused(f"it takes more than {STEPS:,} steps to expand")
 
     def evaluate(self, text: str, names: Mapping[str, Any]) -> Any:
-        """Evaluate an expression with the values that it may use. Raises Refused, which names the expression."""
+        """Return the value of an expression, given the values of names that it may use. Raises Refused, which quotes it."""
         try:
             if len(text) > LONGEST:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            # the value is a namespace, which needs a check here; values of other types have been checked
+            # The value is a namespace, the only type that was not checked before.
             if isinstance(value, Mapping) and type(value) is not dict:
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
@@ -95,7 +95,7 @@ class Evaluator:
             raise Refused(str(error) or type(error).__name__, text) from None
 
     def value(self, node: ast.expr, names: Mapping[str, Any], depth: int) -> Any:
-        """Return the value of one part of an expression, a node of its syntax tree."""
+        """Return the value of one node of the syntax tree (ast) of an expression."""
         self.spend()
         if depth > DEEP:
             raise Refused(f"it is nested more than {DEEP} deep")

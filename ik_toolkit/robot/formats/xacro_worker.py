@@ -26,9 +26,9 @@ from ik_toolkit.robot.formats.xacro_library import library
 from ik_toolkit.robot.formats.xacro_values import LARGEST, LONGEST, Evaluator, Function, Refused
 from ik_toolkit.robot.packages import find_package
 
-FILES = 1_000  # Limit on the files that one include may match.
-# Matches the parameters of a macro, as xacro's own regular expression does, but without nested repetition, which can take
-# exponential time.
+FILES = 1_000  # An <xacro:include> with wildcards reads at most this many files.
+# It matches the parameters of a macro as the expression in xacro does, but without nested repetition, which can take exponential
+# time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
@@ -62,7 +62,7 @@ class GivenArguments(dict):
 
 
 class Expansion:
-    """xacro with all functions replaced that evaluate expressions or read files."""
+    """Runs the module xacro with all its functions replaced that would evaluate Python or read files without limits."""
 
     def __init__(self, job: dict) -> None:
         """Store the job and replace the functions of xacro."""
@@ -72,9 +72,9 @@ class Expansion:
         self.job, self.xacro = job, xacro
         self.files = Files(job["folders"])
         self.evaluator, self.arguments = Evaluator(), GivenArguments(job["arguments"])
-        self.known: dict[str, str] = {}  # folders of the packages found so far, by name
+        self.known: dict[str, str] = {}  # by name: the folders of the ROS packages found so far
         self.written = 0
-        # body of each macro and the cost of a copy in steps, by the body's id
+        # by id() of the body of a macro: the body, and what a copy of it costs [steps]
         self.bodies: dict[int, tuple[Any, int]] = {}
         plain = library(self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
@@ -85,7 +85,7 @@ class Expansion:
                 self.symbols[name] = xacro.NameSpace()
                 self.symbols[name].update(inside)
         for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
-            del self.symbols[name]  # Expressions call these functions only as xacro.NAME.
+            del self.symbols[name]  # An expression may call these functions only as xacro.NAME.
         self.original: dict[str, Any] = vars(xacro).copy()
         self._replace_in(
             xacro,
@@ -119,7 +119,7 @@ class Expansion:
         vars(module).update(functions, **dict.fromkeys(("eval", "exec", "compile", "open"), _never))
 
     def own(self) -> dict[str, Callable[..., Any]]:
-        """Return the functions that expressions may call as xacro.NAME."""
+        """Return by name the functions that expressions may call as xacro.NAME."""
 
         def silent(*given: Any, **named: Any) -> str:
             return ""
@@ -133,7 +133,7 @@ class Expansion:
         return {
             "load_yaml": self.load_yaml,
             "abs_filename": self.absolute,
-            # xacro's `dotify` makes a dict accept d.key; in these expressions every dict accepts that
+            # `dotify` of xacro makes a dict accept d.key, which here every dict does.
             "dotify": lambda value: value,
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
@@ -142,12 +142,12 @@ class Expansion:
         }
 
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
-        """Expand an element and count it."""
+        """Replace `eval_all` of xacro, which expands the children of an element: first add their number to the steps."""
         self.evaluator.spend(4 + len(node.childNodes))
         self.original["eval_all"](node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """Return a macro, and count the cost of copying its body, which xacro does next."""
+        """Replace `resolve_macro` of xacro: return a macro, and add the cost of copying its body to the steps."""
         try:
             found = self.original["resolve_macro"](name, macros, symbols)
         except KeyError:
@@ -162,14 +162,14 @@ class Expansion:
         return found
 
     def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        """Replace an XML node by others and count the cost, which grows with the number of siblings."""
+        """Replace `replace_node` of xacro: put nodes in the place of one, and add the cost of that to the steps."""
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
         self.original["replace_node"](node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
-        """Evaluate a text with expressions, and count what that costs."""
+        """Replace `eval_text` of xacro: evaluate a text with ${...} and $(...), and add its cost to the steps of the file."""
         if "$" not in text:
             return text
         if len(text) > LONGEST:
@@ -183,7 +183,7 @@ class Expansion:
         return made
 
     def eval_eval(self, text: str, context: dict) -> str:
-        """Evaluate $(eval ...), an expression that may use arguments as names."""
+        """Return, as text, the value of $(eval ...), an expression in which arguments of the file are names."""
         arguments = self.arguments
 
         class Names(dict):
@@ -197,7 +197,7 @@ class Expansion:
         return str(self.evaluator.evaluate(text, Names(own)))
 
     def find(self, name: str) -> str:
-        """Return the folder of a package, from which files may be read from now on."""
+        """Return the folder of a ROS package by name, and allow files to be read from it from now on."""
         if name not in self.known:
             found = find_package(name, Path(self.job["file"]), self.job["package_dirs"], self.job["environment"])
             if found is None:
@@ -222,7 +222,7 @@ class Expansion:
         return os.path.dirname(os.path.abspath(self.xacro.filestack[-1]))
 
     def absolute(self, name: str) -> str:
-        """Make the name of a file absolute, as xacro does, and understand package:// too."""
+        """Return the absolute path of a file named relative to the xacro file, as file://... or as package://..."""
         scheme, _, rest = str(name).partition("://")
         if scheme == "file":
             return rest
@@ -232,7 +232,7 @@ class Expansion:
         return os.path.join(self.find(package), inner)
 
     def included(self, name: str, symbols: Any) -> Any:
-        """Yield the files that an include names."""
+        """Yield the paths of the files that an <xacro:include> names, maybe by a pattern with wildcards."""
         path = self.absolute(str(self.xacro.eval_text(name, symbols)))
         found = [path]
         if re.search("[*?[]", path):
@@ -240,7 +240,7 @@ class Expansion:
         yield from found
 
     def parse(self, text: Any, filename: str | None = None) -> Any:
-        """Return the document of a file."""
+        """Replace `parse` of xacro: return a xacro file as an XML document, read within the limits."""
         assert filename is not None
         try:
             document = self.files.xml(filename)
@@ -257,7 +257,7 @@ class Expansion:
         return document
 
     def load_yaml(self, name: str) -> Any:
-        """Return the plain values of a YAML file."""
+        """Replace `load_yaml` of xacro: return the contents of a YAML file as dicts, lists, numbers and texts."""
         path = self.absolute(name)
         self.xacro.filestack.append(path)
         made = self.files.yaml(path, lambda text: float(self.evaluator.evaluate(text, self.symbols)))
@@ -284,7 +284,7 @@ def _converted(text: str) -> Any:
 
 
 def run_job(job: dict) -> dict:
-    """Expand the xacro file of a job and return the answer."""
+    """Expand the xacro file of a job (see `expand` in xacro.py); return a dict with the text, or with the error as a sentence."""
     stack: list[str] = []
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -301,7 +301,7 @@ def run_job(job: dict) -> dict:
 
 
 def told(cause: BaseException, stack: list[str]) -> str:
-    """Say in one sentence which error ended the expansion, and in which expression."""
+    """Return one sentence on the error that ended the expansion, and where: `stack` has the names of the open files."""
     said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
     where = f"'{stack[-1]}'" if stack else ""
     macros = sys.modules["xacro"].macrostack

@@ -21,8 +21,8 @@ from .distance import Clearance, Near
 from .link_shapes import placed
 from .surroundings import PlacedShape, Surroundings
 
-SAMPLES = 8  # number of random configurations from which it is found which links move relative to each other
-# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, [m]) changes by more than this.
+SAMPLES = 8  # At this many random configurations it is found which links move relative to each other.
+# Two parts count as fixed to each other if no entry of their relative pose (4, 4) [m] varies by more than this.
 STILL = 1e-9
 
 
@@ -125,7 +125,7 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        # entry [a, b] says whether joints a and b move relative to each other
+        # apart[a, b] tells whether joints a and b move relative to each other.
         apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
@@ -194,7 +194,7 @@ class CollisionModel(Surroundings):
         geometry.setCollisionPairs(tested)
         pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
-        margins.setflags(write=False)  # Callers receive this array and must not change it.
+        margins.setflags(write=False)  # `margins` returns this array to users, who must not change it.
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()
@@ -214,12 +214,12 @@ class CollisionModel(Surroundings):
 
     @property
     def geometry(self) -> pin.GeometryModel:
-        """All shapes and the tested pairs as Pinocchio represents them; made again when a shape is added or removed."""
+        """The pin.GeometryModel with all shapes and the pairs to test; it is replaced whenever a shape is added or removed."""
         return self._state[0]
 
     @property
     def margins(self) -> np.ndarray:
-        """Distance (P,) [m] below which each of the geometry's pairs counts as touching."""
+        """For each of the P pairs of shapes in `geometry` the distance [m] below which it counts as touching (read-only)."""
         return self._state[1]
 
     @property
@@ -238,13 +238,14 @@ class CollisionModel(Surroundings):
         return local.space
 
     def workspace(self, more: float | np.ndarray) -> tuple[Any, Any, Any]:
-        """Make Pinocchio's data for tests in which a pair nearer than its margin plus `more` [m] (pairs,) counts as touching.
+        """Make working memory for collision tests in which a pair nearer than its margin plus `more` [m] counts as touching.
 
-        They are model data, geometry data and a tree of bounding boxes, which is None if a shape has no volume.
+        `more` is a number or (P,), one for each pair. The result is a pin.Data, a pin.GeometryData and a tree of bounding boxes,
+        which is None if a shape has no volume.
         """
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
-        # Pinocchio's default requests reuse the last result as a guess, so a result could depend on earlier calls.
+        # The default requests of Pinocchio start from the result of the last call, so results could depend on earlier calls.
         for k, margin in enumerate((margins + more).tolist()):
             found.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)
@@ -285,7 +286,7 @@ class CollisionModel(Surroundings):
             within: Largest distance [m] of a pair that is returned.
 
         Returns:
-            Each pair's names, distance [m], nearest points and normal.
+            A Near for each pair: names, distance [m], nearest points [m] and normal.
 
         Raises:
             InvalidConfiguration: q does not fit the robot.
@@ -335,7 +336,7 @@ class CollisionModel(Surroundings):
 
 
 def as_margin(value: Any, what: str = "margin must be a distance of at least 0 [m]") -> float:
-    """Return a margin [m] as a float. Raises InvalidOption, "WHAT, not VALUE", if it is not a non-negative number."""
+    """Return a margin [m] as a float. Raises InvalidOption, with a message that begins with `what`, if it is not a number >= 0."""
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:
         raise InvalidOption(f"{what}, not {value!r:.60}")

@@ -15,7 +15,7 @@ MAX_SHAPES = 300
 
 
 def read_shapes(robot: Any) -> pin.GeometryModel:
-    """Return the collision shapes given with the robot's model, or those of its URDF, placed on its model.
+    """Return the collision shapes of a Robot or Tree on the links of its model: those given with the model, or those of its URDF.
 
     Raises ModelError if one cannot be used.
     """
@@ -44,7 +44,7 @@ def _form(shape: LinkShape) -> Any:
     if shape.convex:
         try:
             made.buildConvexRepresentation(False)
-        except RuntimeError:  # The collision library coal refuses a point with too many neighbours.
+        except RuntimeError:  # coal refuses a mesh in which a point has more than 255 neighbours.
             return hull_of(made)
         return made.convex
     return made
@@ -53,8 +53,8 @@ def _form(shape: LinkShape) -> Any:
 def hull_of(mesh: Any) -> Any:
     """Return the convex hull of a mesh, or the mesh if coal cannot make one: it refuses points with more than 255 neighbours.
 
-    The hull is computed by qhull, whereas `buildConvexRepresentation` uses the mesh as it is, convex or not. Faces with many
-    corners are divided into triangles that share a corner (option Qt), or by moving points by rounding errors (QJ).
+    The library qhull computes the hull. Its options divide faces with many corners into triangles, with a common corner (Qt) or, if
+    that fails, by moving points by rounding errors (QJ).
     """
     for how in ("Qt", "QJ"):
         try:
@@ -79,9 +79,9 @@ def is_flat(shape: Any) -> bool:
 
 
 def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
-    """Return the nearest ancestor joint that carries shapes, or -1.
+    """Return the nearest joint above `joint` (ids) that is in `owners`, the joints that carry shapes; -1 if there is none.
 
-    Links count as adjacent if only links without shapes lie between them.
+    So links with only links without shapes between them count as adjacent.
     """
     while joint > 0:
         joint = model.parents[joint]

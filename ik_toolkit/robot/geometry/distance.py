@@ -26,10 +26,11 @@ from ...kernel.clearance import (
 from ..probe import mimics
 from .convex import hull_of
 
-BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of two shapes may jump, for example from one end of an edge to the other, so earlier ones are kept, at most
-# CORNERS for a pair, while their distance is less than NEARBY [m] above the least one. Points within APART [m]
-# of each other count as one.
+# held while coal computes a hull, because it stores the hull in the mesh, which other threads may use
+BUILDING = threading.Lock()
+# The nearest points of two shapes may jump, for example from one end of an edge to the other. So up to CORNERS pairs of points that
+# were nearest before are kept for each pair of shapes, while their distance is at most NEARBY [m] above the least one. Points
+# within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
@@ -48,10 +49,10 @@ class Near(NamedTuple):
 
 
 def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
-    """Copy a geometry and replace each mesh by its convex hull if it has one (see `hull_of`).
+    """Return a copy of a geometry in which each mesh that is thick enough is replaced by its convex hull.
 
-    `names` are those of the shapes added to the robot, which are last in the geometry. `known` caches hulls, by such a name or
-    else by index; new ones are added to it.
+    `names` are those of obstacles and held shapes, the last shapes in the geometry. `known` caches hulls by name, or by index for
+    shapes of the robot; new hulls are added to it.
     """
     made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
     for k, shape in enumerate(made.geometryObjects):
@@ -93,7 +94,7 @@ class Clearance:
             self._hulls.createData(),
         )
         shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
-        # References to Pinocchio's placements are kept, because making one takes three times as long as reading it.
+        # The references to joint placements in pin.Data are kept, because making one takes three times as long as reading it.
         self._frames = list(self._data.oMi)
         self._hull_found, self._exact_found = (
             [data.distanceResults[k] for k in range(len(pairs))] for data in (self._hull_data, self._exact_data)
@@ -103,7 +104,7 @@ class Clearance:
         robots = np.array([name not in model.obstacles for name in self._names])
         self.own = robots[self.a] & robots[self.b]
         solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
-        self._surface = solid[self.a] | solid[self.b]  # The exact shapes of these pairs differ from their hulls.
+        self._surface = solid[self.a] | solid[self.b]  # whether a pair has a non-convex mesh, whose hull is not exact
         self._joints(shapes)
         self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
@@ -129,7 +130,7 @@ class Clearance:
             shape.geometry.computeLocalAABB()
             self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
             self._size[k] = shape.geometry.aabb_radius
-        # A shape that never moves may be an infinite plane.
+        # A shape that never moves may be an infinite plane, so its radius is not used.
         self._radius = np.where(moved.any(axis=1), self._size, 0.0)
 
     def name(self, k: int) -> tuple[str, str]:
@@ -148,7 +149,7 @@ class Clearance:
         return pin.computeDistance(self._hulls, self._hull_data, k).min_distance
 
     def distance(self, k: int) -> float:
-        """Measure the distance [m] of pair k, which is never more than that of the exact shapes and 0 or less where they touch."""
+        """Measure pair k: return a distance [m] that is at most that of the exact shapes, and 0 or less where they touch."""
         if not self.exact[k]:
             d = self._hull_distance(k)
             if d > self.margins[k] or not self._surface[k]:
@@ -165,11 +166,11 @@ class Clearance:
         return np.array([self.distance(k) for k in range(len(self.a))])
 
     def gap(self, k: int) -> float:
-        """Return the distance [m] of pair k minus its margin."""
+        """Measure pair k: return its distance minus its margin [m], below which it counts as touching."""
         return self.distance(k) - self.margins[k]
 
     def points(self, ks: np.ndarray) -> np.ndarray:
-        """Return the nearest points (K, 2, 3) [m] of pairs ks (K,) in the root's axes, once `distance` has measured them."""
+        """Return the nearest points (K, 2, 3) [m] in root axes, on both shapes, of pairs ks (K,) that were measured before."""
         results = [(self._exact_found if self._on_surface[k] else self._hull_found)[k] for k in ks.tolist()]
         return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
@@ -211,7 +212,7 @@ class Clearance:
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
-        """Compute the joint Jacobians that `levers` and `rows` need at the configuration placed last."""
+        """Compute joint Jacobians and shape positions at the configuration placed last; the methods below need them."""
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
@@ -219,48 +220,50 @@ class Clearance:
         self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return bounds (P, E) on how much closer pairs of shapes come per unit of each joint, if joint i moves at most way[i].
+        """Bound how much closer each pair of shapes can come if joint i of q moves by at most way[i] [rad or m], way (n,).
 
-        way (n,) [rad or m]: joint moves. The second result (P,) [m] bounds how much closer each pair can come by all of them.
+        Returns bounds (P, E) [m per rad or m] for each of the E moving joints alone, and bounds (P,) [m] for all of them together.
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
         levers(self._parts, way, out, spread)
         return out, spread
 
     def forget(self) -> None:
-        """Delete the nearest points that are kept from earlier configurations."""
+        """Delete the nearest points stored at earlier configurations, so that results no longer depend on them."""
         self._held[:] = False
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest points that are kept from earlier configurations, for `recall` after copying or pickling."""
+        """Return the nearest points stored at earlier configurations (P, CORNERS, 2, 3) and which of them are set, for `recall`."""
         return self._corners, self._held
 
     def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
-        """Take over the nearest points that `corners` of another Clearance of the same model returned."""
+        """Replace the stored nearest points by a copy of those that `corners` of a Clearance of an equal model returned."""
         self._corners, self._held = (one.copy() for one in found)
 
     def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the nearest points of pairs, and points that were nearest before and are still almost the nearest.
+        """Return the nearest points of pairs, and the stored points of earlier configurations that are still almost nearest.
+
+        `move` must have been called at this configuration.
 
         Args:
-            ks: The pairs (K,).
-            distances: Their distances [m], already measured.
+            ks: Indices (K,) of the pairs.
+            distances: Their distances (K,) [m], already measured.
 
         Returns:
-            The pairs (R,), points (R, 2, 3) [m] in the root's axes and distances (R,) [m]: first those of ks, then
-            those found before. `move` must have been called.
+            Indices of pairs (R,), points (R, 2, 3) [m] in root axes and distances (R,) [m]: first the nearest points
+            of the pairs ks, then stored ones.
         """
         points, each = self.points(ks), np.arange(len(ks))
-        # Placements (K, 2, 4, 4) of the two shapes of each pair.
+        # placements (K, 2, 4, 4) of the joints that move the two shapes of each pair
         at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]
         turn, origin = at[..., :3, :3], at[..., :3, 3]
         own = ((points - origin)[..., None, :] @ turn)[..., 0, :]
         known = self._corners[ks]
         before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
-        # A corner that slides along a face counts as one point, although the point on the face changes.
+        # Pairs of points with the same point on one shape count as one, as for a corner that slides along a face of the other.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
-        # Points kept from convex hulls, which may overlap, are not points of the exact shapes.
+        # The stored points are of convex hulls, so they are not used for pairs whose exact shapes were measured.
         hull = ~self._on_surface[ks][:, None]
         held = self._held[ks] & hull & ~same & (gaps < distances[:, None] + NEARBY)
         new = np.argmax(np.where(held, gaps, np.inf), axis=1)
@@ -275,20 +278,26 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Write linear inequalities on the joint rates that keep pairs ks (K,) of shapes apart, see `kernel.clearance.rows`."""
+        """Write linear inequalities on the joint rates that keep pairs of shapes apart, and return how many were written.
+
+        `ks` (K,) are the pairs, `points` (K, 2, 3) [m] and `gap` (K,) [m] their nearest points and distances; the other
+        arguments are those of `kernel.clearance.rows`.
+        """
         deceleration, *rules = rest[:5]
         facing, planes = NearPairs(ks, points, gap), HalfPlanes(*rest[5:])
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
-        """Return the position on a path [pieces] up to which each of the pairs ks (K,) is proven free of contact.
+        """Return for each of the pairs ks (K,) the position on a path of cubic pieces up to which it is proven free of contact.
 
-        path: the fields of `BrakingPath`, and the position on it at which the proof begins [pieces].
+        Positions count pieces: 2.5 is halfway through the third. `distances` (K,) [m] of the pairs were measured before, `levers`
+        (P, E) are bounds as from the method of this name. `path` has the fields of `BrakingPath`, then the position where the
+        proof begins.
         """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
-        normals[self._on_surface[ks]] = 0.0  # Non-convex shapes have no separating plane.
+        normals[self._on_surface[ks]] = 0.0  # No plane need separate shapes that are not convex, so none is used.
         out = np.empty(len(ks))
         pairs = Separation(ks, normals, distances)
         free_until(self._parts, pairs, levers, BrakingPath(*path[:-1]), path[-1], out)

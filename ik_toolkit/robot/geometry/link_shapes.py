@@ -25,15 +25,15 @@ from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_pack
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
 ROLES = {"surface": "collision", "look": "visual"}
-Problems = list[tuple[str, str]]  # A problem names an element and what is wrong with it.
+Problems = list[tuple[str, str]]  # an element of the URDF as text, and what is wrong with it
 
 
 @dataclass(frozen=True)
 class LinkShape:
     """One shape of a link.
 
-    `name` is "LINK_K", `kind` 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'. `sizes` [m] are (x, y, z), (radius,) or
-    (radius, length), or for a mesh its scale (3,). `color` is (r, g, b, opacity) as in the URDF, or None. For a mesh,
+    `name` is "LINK_K" for shape K of a link. `kind` is 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'. `sizes` [m] are (x, y, z),
+    (radius,) or (radius, length), or for a mesh its scale (3,). `color` is (r, g, b, opacity), each 0 to 1, or None. For a mesh,
     `file` is its name in the URDF, `mesh` the contents of the file, and `convex` tells whether it is treated as convex.
     """
 
@@ -49,9 +49,9 @@ class LinkShape:
 
 
 def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
-    """Read the shapes of a robot's links, collision ('surface') or visual ('look'); also return problems of unusable shapes.
+    """Read the collision shapes ('surface') or visual shapes ('look') of a robot; return them and the problems of unusable ones.
 
-    Raises ModelError if there are more than `most`.
+    A problem is an element and what is wrong with it. Raises ModelError if the robot has more than `most` shapes.
     """
     role = ROLES[kind]
     if kind == "look" and robot.visual_model is not None:
@@ -98,7 +98,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
 
 
 def light(given: pin.GeometryModel | None) -> pin.GeometryModel | None:
-    """Return a copy of visual shapes for pickling, without triangles that are read from a file again (2.5 kB each)."""
+    """Return a copy of visual shapes without their triangles, which can be read from files again, to make pickles small."""
     copy = None if given is None else given.clone()
     for shape in copy.geometryObjects if copy is not None else ():
         if os.path.isfile(shape.meshPath):
@@ -107,7 +107,7 @@ def light(given: pin.GeometryModel | None) -> pin.GeometryModel | None:
 
 
 def placed(given: pin.GeometryModel, robot: Any) -> pin.GeometryModel:
-    """Return a copy of shapes that were given with a Pinocchio model, on the links of the robot's model."""
+    """Return a copy of the shapes that the user gave with a Pinocchio model, on the links of the model that the robot uses."""
     copy = given.clone()
     put_on(copy, robot.model if robot._original is None else robot._original, robot.model)
     return copy
@@ -156,15 +156,15 @@ def _kind(form: Any) -> tuple[str, tuple[float, ...]]:
 
 
 def problems_sentence(problems: Problems) -> str:
-    """Summarise problems in one sentence: the first three, and the number of others."""
+    """Return problems with shapes (element, what is wrong) as one sentence: the first three, and how many more there are."""
     rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
     return "; ".join(rows[:3]) + (f"; and {len(rows) - 3} more" if len(rows) > 3 else "")
 
 
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
-    """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
+    """Return a pin.GeometryModel of the shapes on the links of a model; `forms` are the coal objects made from them."""
     geometry = pin.GeometryModel()
-    # If several frames have the same name, the link is used.
+    # Frames of a joint and a link may have the same name; the shape is on the link.
     order = sorted(enumerate(model.frames), key=lambda one: one[1].type == pin.FrameType.BODY)
     frames: dict[str, int] = {frame.name: i for i, frame in order}
     for shape, form in zip(shapes, forms, strict=True):

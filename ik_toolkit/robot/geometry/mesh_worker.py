@@ -22,7 +22,7 @@ from ik_toolkit.robot.formats.sandbox import limit
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
 REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
-# Lines of coal's error messages that begin with these words do not give the reason.
+# Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
 # trimesh imports these packages if they are installed, although reading a mesh does not need them. Importing them takes three
 # times as long as everything else.
@@ -35,11 +35,11 @@ class MeshRefused(Exception):
 
 
 class References:
-    """Reads files that a mesh file refers to, only from inside the folders, and only regular files up to the size limit."""
+    """Reads files that a mesh file refers to, if they are regular files inside the allowed folders and not too large."""
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # Sentences on the files refused so far because they lie outside the folders.
+        self.refused: list[str] = []  # sentences on references outside the allowed folders, which were not followed
         self.last = ""
 
     def get(self, name: str) -> bytes:
@@ -66,9 +66,11 @@ class References:
 
 
 def check_xml(raw: bytes) -> None:
-    """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
+    """Raise MeshRefused for a .dae file with entity declarations or nodes that contain themselves or are nested too deep."""
     stack: list[str] = []
-    inside: dict[str, list] = {}  # for each node or scene, by id: the nodes below it and those that it instantiates
+    inside: dict[
+        str, list
+    ] = {}  # by id of a node or scene: the ids of the nodes in it, and of those of which it has instances
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:
@@ -95,7 +97,10 @@ def check_xml(raw: bytes) -> None:
 
 
 def check_instances(inside: dict[str, list]) -> None:
-    """Reject nodes that contain themselves, are nested too deep, or multiply (two instances of two instances of ...)."""
+    """Raise MeshRefused for nodes that contain themselves, are nested too deep, or expand to too many by instances of instances.
+
+    `inside` maps the id of a node to the ids of the nodes in it, of which instances are one.
+    """
     size: dict[str, int] = {}
 
     def visit(node: str, above: tuple[str, ...]) -> int:
@@ -114,7 +119,7 @@ def check_instances(inside: dict[str, list]) -> None:
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Return the text of a .gltf with its buffers embedded, because a reader would open any path written there."""
+    """Return a .gltf file with the contents of its buffer files in place of their paths, as a reader would open any path."""
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")
@@ -126,7 +131,7 @@ def inline(raw: bytes, references: References) -> bytes:
 
 
 def check_gltf(raw: bytes) -> None:
-    """Reject a .gltf or .glb whose nodes contain themselves, and a .glb with buffers in other files."""
+    """Raise MeshRefused for a .gltf or .glb file with broken JSON or faulty nodes, and for a .glb with buffers in other files."""
     binary = raw[:4] == b"glTF"
     try:
         tree = json.loads(raw[20 : 20 + int.from_bytes(raw[12:16], "little")] if binary else raw)
@@ -142,7 +147,7 @@ def check_gltf(raw: bytes) -> None:
 
 
 def collision_mesh(file: Path, raw: bytes, references: References, out: Path):
-    """Yield the triangles of a mesh file, read by coal (assimp), for collision tests."""
+    """Yield vertices (N, 3) [units of the file], faces (M, 3) and None (no colour) of a mesh file, read by coal for collisions."""
     import coal
     import numpy as np
 
@@ -160,7 +165,7 @@ def collision_mesh(file: Path, raw: bytes, references: References, out: Path):
 
 
 def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
-    """Yield the triangles and the colour of every material of a mesh file, read by trimesh, for drawing."""
+    """Yield vertices (N, 3) [units of the file], faces (M, 3) and colour (3,), or None, of each part of a mesh file for drawing."""
     import numpy as np
 
     sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]  None: not found
@@ -187,7 +192,7 @@ def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
 
 
 def read_mesh(file: Path, references: References, job: dict, out: Path, number: int) -> None:
-    """Read one file and write its triangles to OUT/NUMBER.npz."""
+    """Read a mesh file and write its vertices, faces and colours to the file `number`.npz in the folder `out`."""
     import numpy as np
 
     raw = file.read_bytes()
@@ -202,7 +207,7 @@ def read_mesh(file: Path, references: References, job: dict, out: Path, number: 
         count += len(faces)
         if count > job["triangles"]:
             raise MeshRefused(f"it has more than {job['triangles']:,} triangles")
-        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # The comparison is false for NaN too.
+        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # `> FAR` would accept NaN.
             raise MeshRefused(f"it has vertices that are not finite numbers up to {FAR:g}")
         arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
     if not count:
@@ -218,7 +223,7 @@ def _main() -> None:
     limit("AS", job["memory"])
     for number, (name, seconds) in enumerate(job["files"]):
         print(f"begin {number}", flush=True)
-        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # The system kills the process if it takes more time.
+        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # Beyond this processor time the system kills the process.
         file = Path(name)
         references = References(file, job)
         said = ""

@@ -27,7 +27,7 @@ SECONDS = 4.0
 
 
 class MeshCaps(NamedTuple):
-    """Limits on the meshes of a robot; the comments give what the largest file of example-robot-data has."""
+    """Limits on the mesh files of a robot, so that none exhausts the computer; "the largest" is a file of example-robot-data."""
 
     bytes: int = 100_000_000  # Limit on the bytes of a file; the largest has 29 MB.
     triangles: int = 2_000_000  # Limit on the triangles of a file; the largest has 351,394.
@@ -53,9 +53,9 @@ class MeshPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """The contents of a mesh file.
+    """The contents of a mesh file: its pieces, or the reason in `refused` why it was not read.
 
-    If it was not read, `refused` says why; `notes` say what was left out.
+    `notes` are sentences on files that it refers to and that were not read.
     """
 
     pieces: tuple[MeshPiece, ...] = ()
@@ -63,7 +63,7 @@ class Mesh:
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # cache of meshes, by kind, path, size and modification time
+_read: dict[tuple, Mesh] = {}  # a cache; its keys are kind, path, size, modification time and allowed folders
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
@@ -77,7 +77,7 @@ def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[
 
 
 def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterable[str | Path]) -> dict[str, Path]:
-    """Find the folders of the packages that mesh names refer to (package://NAME/...)."""
+    """Return by name the folders of the ROS packages that mesh names (package://NAME/...) refer to, if they are found."""
     spoken = dict.fromkeys(
         name.partition("://")[2].partition("/")[0] for name in names if name.startswith("package://")
     )
@@ -86,10 +86,10 @@ def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterabl
 
 
 def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] | None = None) -> Path:
-    """Find the real path of a mesh named in a URDF (package://, model://, file:// or a path).
+    """Return the path, with symbolic links resolved, of a mesh named in a URDF (package://, model://, file:// or a path).
 
-    `folders` are those of `mesh_folders`, `packages` those of `mesh_packages`. Raises ModelError, whose text ends a
-    sentence, if there is none or it may not be read.
+    It must lie in one of `folders` or `packages` (folders of ROS packages by name). Raises ModelError if it does not, or is no mesh
+    file; its text, such as "is not there", completes a sentence about the mesh.
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
@@ -132,14 +132,14 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
 
 
 def lies_in(path: Path, folders: Sequence[Path]) -> bool:
-    """Return whether a real path lies in one of the folders that may be read."""
+    """Return whether a path lies below one of the folders (all with symbolic links resolved)."""
     return any(path.is_relative_to(folder) for folder in folders)
 
 
 def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
-    """Read files found by `find_mesh` for 'surface' (one piece per file) or 'look' (one piece per material).
+    """Read mesh files in another process, for collisions ('surface': one piece each) or drawing ('look': one for each material).
 
-    A mesh that cannot be read has `refused`, the end of a sentence; files that a mesh refers to are read only from
+    Returns a Mesh by path; one that cannot be read has the reason in `refused`. Files that a mesh refers to are read only from
     `folders`.
     """
     found: dict[Path, Mesh] = {}

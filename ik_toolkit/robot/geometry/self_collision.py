@@ -17,9 +17,9 @@ from ..joints import Joints
 from ..probe import NO_LIMIT
 from .convex import owner_above, read_shapes, request
 
-ALWAYS = 0.95  # A pair that touches in this share of the configurations is said to touch "always", as in MoveIt.
-# A pair that touches at zero and in half of the samples touches "by default".
-# MoveIt leaves out a pair that touches at zero alone, which hides real contacts of such a pair.
+ALWAYS = 0.95  # A pair that touches in at least this share of the samples gets the reason "Always", as in MoveIt.
+# A pair that touches with all joints at zero and in at least this share of the samples gets the reason "Default". MoveIt asks only
+# for contact at zero, which hides real contacts.
 DEFAULT = 0.5
 # Two links within 1 cm of each other in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
@@ -31,9 +31,9 @@ REASONS = ("Adjacent", "Always", "Default", "Never")
 class SelfCollision:
     """Result of `self_collision`: which pairs of links need no collision test.
 
-    `reasons` maps a pair that needs no test to one of REASONS, `tested` lists the other pairs. `before` and `after` are shares
-    of the samples with any contact: over all pairs that move relative to each other and are not joined by a joint, and over
-    the pairs in `tested`.
+    `reasons` maps a pair that needs no test to one of REASONS, `tested` lists the other pairs. `before` is the share of the samples
+    (0 to 1) in which any two links touch that are not joined by a joint and can move relative to each other, `after` the share in
+    which any pair in `tested` touches. `samples` and `seed` are those of the call.
     """
 
     robot: str
@@ -45,12 +45,12 @@ class SelfCollision:
     after: float
 
     def counts(self) -> dict[str, int]:
-        """Count the pairs for each reason."""
+        """Return for each of REASONS the number of pairs that need no test for this reason."""
         given = list(self.reasons.values())
         return {reason: given.count(reason) for reason in REASONS}
 
     def to_srdf(self) -> str:
-        """Write the pairs that need no collision test as SRDF text."""
+        """Return the text of an SRDF in which the pairs that need no collision test are disabled, with their reasons."""
         lines = [
             f"    <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason={quoteattr(reason)}/>"
             for (a, b), reason in self.reasons.items()
@@ -144,7 +144,10 @@ class _Probe:
         self.lower, self.upper = np.minimum(lower, upper), np.maximum(lower, upper)
 
     def contacts(self, values: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which pairs in `asked` (P,) touch, and which are nearer than NEAR, at joint values (m,) [rad or m]."""
+        """Return the indices of the pairs that touch and of those nearer than NEAR, at joint values (m,) [rad or m].
+
+        Only pairs for which `asked` (P,) is True are tested.
+        """
         full, circles = pin.neutral(self.model), self._circles
         full[self._places] = np.where(circles, np.cos(values), values)
         full[self._places[circles] + 1] = np.sin(values[circles])

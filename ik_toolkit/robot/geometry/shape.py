@@ -51,17 +51,17 @@ class Shape:
 
     @classmethod
     def sphere(cls, radius: float) -> "Shape":
-        """Make a sphere of a radius [m], centred at its origin. Raises InvalidOption."""
+        """Make a sphere with this radius [m], centred at its origin. Raises InvalidOption."""
         return cls("sphere", (radius,))
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> "Shape":
-        """Make a cylinder [m] along z, centred at its origin. Raises InvalidOption."""
+        """Make a cylinder of this radius and length [m] along z, centred at its origin. Raises InvalidOption."""
         return cls("cylinder", (radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> "Shape":
-        """Make a capsule along z, centred at its origin: a cylinder [m] with half a ball at each end.
+        """Make a capsule along z, centred at its origin: a cylinder of this radius and length [m] with half a ball at each end.
 
         Raises InvalidOption.
         """
@@ -69,14 +69,14 @@ class Shape:
 
     @classmethod
     def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
-        """Make the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing.
+        """Make a shape of the surface in a mesh file (STL, OBJ, DAE), scaled to metres by `scale`; a part within touches nothing.
 
         Raises InvalidOption.
         """
         return cls("mesh", (as_path(path, "the file of a mesh"), scale))
 
     def form(self) -> Any:
-        """Return the shape as a coal object. Raises InvalidConfiguration if its mesh cannot be read."""
+        """Return the shape as an object of the collision library coal. Raises InvalidConfiguration if its mesh cannot be read."""
         if self.kind != "mesh":
             return PLAIN[self.kind](*self.sizes)
         path, scale = self.sizes
@@ -93,7 +93,7 @@ class Shape:
         return surface(mesh, np.full(3, scale))
 
     def corners(self) -> np.ndarray:
-        """Return the corners (8, 3) [m] of the box around the shape, along its own axes; x is the slowest to change."""
+        """Return the corners (8, 3) [m] of the box, along the axes of the shape, that encloses it; x changes slowest."""
         form = self.form()
         form.computeLocalAABB()
         box = form.aabb_local
@@ -104,7 +104,7 @@ PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "cap
 
 
 def surface(mesh: Mesh, scale: np.ndarray) -> Any:
-    """Convert the surface of a mesh, scaled by (3,), to a coal object."""
+    """Return the triangles of a mesh, scaled by `scale` (3,), as an object of the collision library coal."""
     made = coal.BVHModelOBBRSS()
     (piece,) = mesh.pieces
     made.beginModel(len(piece.faces), len(piece.vertices))
@@ -115,7 +115,7 @@ def surface(mesh: Mesh, scale: np.ndarray) -> Any:
 
 
 def is_shape(value: Any) -> Shape:
-    """Return a value that is a Shape unchanged. Raises InvalidOption otherwise."""
+    """Raise InvalidOption unless the value is a Shape; return it."""
     if not isinstance(value, Shape):
         raise InvalidOption(
             f"a shape must be one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}"

@@ -18,7 +18,8 @@ from .shape import Shape, is_shape
 class PlacedShape:
     """A shape around the robot (`arm` is None), or held by an arm.
 
-    Its pose T (4, 4) [m] is in the base frame, or for a held shape in the tip frame; `touch`: names of parts that it may touch.
+    `form` is its coal object, T (4, 4) [m] its pose in the base frame, or for a held shape in the tip frame, `arm` the index of the
+    arm, and `touch` has the names of parts that it may touch.
     """
 
     shape: Shape
@@ -29,7 +30,7 @@ class PlacedShape:
 
 
 class Surroundings(ReadOnly):
-    """The shapes of a CollisionModel that are not part of the robot; every change of a shape raises `version`."""
+    """Base class of CollisionModel: obstacles and held shapes; `version` counts their changes."""
 
     robot: Any
     _names: list[str]
@@ -38,7 +39,9 @@ class Surroundings(ReadOnly):
         """Start with no shapes."""
         self.version = 0
         self._placed: dict[str, PlacedShape] = {}
-        self._hulls: dict[Any, Any] = {}  # convex hulls of added shapes, by name or index
+        self._hulls: dict[
+            Any, Any
+        ] = {}  # convex hulls of meshes, by name for added shapes and by index for those of the robot
 
     def _rebuild(self) -> None:
         """Update the model after shapes were added or removed."""
@@ -60,12 +63,12 @@ class Surroundings(ReadOnly):
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Names of the shapes added around the robot."""
+        """Names of the shapes around the robot that it does not hold."""
         return tuple(name for name, one in self._placed.items() if one.arm is None)
 
     @property
     def attached(self) -> tuple[str, ...]:
-        """Names of the shapes the robot holds."""
+        """Names of the shapes that the robot holds, which move with a tip."""
         return tuple(name for name, one in self._placed.items() if one.arm is not None)
 
     def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
@@ -74,21 +77,24 @@ class Surroundings(ReadOnly):
 
     # ------------------------------------------------------------------------------------------------ obstacles
     def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
-        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame."""
+        """Add a box of size (x, y, z) [m] at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame; return the model."""
         return self.add(Shape.box(size), pose, name)
 
     def add_sphere(self, radius: float, position: Any, name: str | None = None) -> Self:
-        """Add a sphere of a radius [m] centred at a position (3,) [m] in the base frame."""
+        """Add a sphere with this radius [m], centred at a position (3,) [m] in the base frame; return the model itself."""
         return self.add(Shape.sphere(radius), position, name)
 
     def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> Self:
-        """Add a cylinder [m] centred at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame, along the pose's z axis."""
+        """Add a cylinder of this radius and length [m] along the z axis of a pose, at which it is centred; return the model itself.
+
+        The pose is a (4, 4), a pin.SE3 or a position (3,) [m] in the base frame.
+        """
         return self.add(Shape.cylinder(radius, length), pose, name)
 
     def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:
-        """Add a scaled mesh file (STL, OBJ, DAE) at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame.
+        """Add a mesh file (STL, OBJ, DAE), scaled to metres by `scale`, at a pose in the base frame; return the model itself.
 
-        Only its surface counts: a part wholly inside it touches nothing.
+        The pose is a (4, 4), a pin.SE3 or a position (3,) [m]. Only the surface counts: a part wholly inside it touches nothing.
         """
         return self.add(Shape.mesh(path, scale), pose, name)
 
@@ -113,7 +119,7 @@ class Surroundings(ReadOnly):
         return self
 
     def move(self, name: str, pose: Any) -> Self:
-        """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
+        """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame; return the model itself.
 
         Raises InvalidOption if there is no such shape, InvalidTarget if `pose` is neither a pose nor a position.
         """
@@ -123,7 +129,7 @@ class Surroundings(ReadOnly):
         return self
 
     def remove(self, name: str) -> Self:
-        """Remove an obstacle or an attached shape. Raises InvalidOption if there is none of this name."""
+        """Remove an obstacle or an attached shape; return the model itself. Raises InvalidOption if there is none of this name."""
         del self._placed[self._known(name)]
         self._hulls.pop(name, None)
         self._rebuild()
@@ -170,33 +176,27 @@ class Surroundings(ReadOnly):
                 raise InvalidOption(
                     f"touch= names '{other}', which is not a known part.{near_match(other, dict.fromkeys(self._names))}"
                 )
+        given = None if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.robot.reach)
         if isinstance(shape, str):
             one = self._placed[self._known(shape)]
             if one.arm is not None:
                 raise InvalidOption(f"'{shape}' is already attached")
-            if T_tip_shape is None and q is None:
+            if given is None and q is None:
                 raise InvalidOption(
                     f"to attach '{shape}' where it is, give the q at which the robot grasps it, or T_tip_shape"
                 )
-            T = (
-                self._tip(arm, q).inverse().homogeneous @ one.T
-                if T_tip_shape is None
-                else as_matrix(T_tip_shape, "shape", self.robot.reach)
-            )
+            T = self._tip(arm, q).inverse().homogeneous @ one.T if given is None else given
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
-            form, T = (
-                is_shape(shape).form(),
-                np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.robot.reach),
-            )
+            form, T = is_shape(shape).form(), np.eye(4) if given is None else given
             self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self
 
     def detach(self, name: str, q: Any = None) -> Self:
-        """Release an attached shape; if q (n,) [rad or m] is given, it becomes an obstacle where it is at q.
+        """Remove an attached shape or, if q (n,) [rad or m] is given, make it an obstacle where it is at q.
 
-        Raises InvalidOption.
+        Returns the model itself. Raises InvalidOption if the shape is not attached.
         """
         one = self._placed[self._known(name)]
         if one.arm is None:
