@@ -35,7 +35,7 @@ from .singular_directions import judge_modes, remember, straight_along_axis
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 from .workspace import START, STATE
 
-# Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
+# Largest share s of the null-space velocity that method ca (classical, acceleration level) removes in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
 # Method cv (velocity level) has the same polynomial in s = kappa h (Patko and Zelei, 2019).
 SHARE = 2.0 / 3.0
@@ -48,7 +48,7 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """Values that change from step to step: the number of inequality constraints, and the length h of the step [s]."""
+    """What differs from step to step besides the arrays: the number of inequality constraints, and the step's length h [s]."""
 
     rows: int
     h: float
@@ -62,13 +62,13 @@ class Published(NamedTuple):
 
 @inline
 def target_of(s):
-    """Return the target's error and motion, views of the scratch arrays s of a step."""
+    """Return the target's error and motion as a `TargetMotion`, whose arrays are those of s, the scratch arrays of a step."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Return the Jacobian and the factor for its pseudo-inverse, views of the scratch arrays s of a step."""
+    """Return the Jacobian and the factor for its pseudo-inverse as a `PseudoInverse`, whose arrays are those of s (`Bench`)."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
@@ -78,6 +78,7 @@ def desired_null_velocity(law, s, limits, wish, base):
 
     It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the
     null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
+    law: `Law`; s: `Bench`; limits (4, n), wish (3, n): as in `Settings`.
     """
     n, m = s.J.shape
     if law.mode == MODE.clip:
@@ -98,15 +99,16 @@ def desired_null_velocity(law, s, limits, wish, base):
 
 @inline
 def skip_shift(law, rule, s, limits, wish, rate, h):
-    """Return False, as no joint is shifted: published laws add secondary motion later. (Solver rules: `shift_by_secondary`.)"""
+    """Return False, as a published law shifts no joint: `add_secondary_motion` is called later. Solvers: `shift_by_secondary`."""
     return False
 
 
 @inline
 def shift_by_secondary(law, rule, s, limits, wish, rate, h):
-    """Shift s.at (n,) by the secondary motion of one step, so that the solver's iteration cancels its effect on the tip.
+    """Shift s.at (n,), where error and Jacobian are evaluated, by one step of secondary motion in the null space.
 
-    Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
+    The solver's iteration then also corrects what that motion does to the tip. Returns whether there was a secondary motion; s.g
+    (n,) receives its rate, or zeros.
     """
     if law.mode != MODE.clip:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
@@ -119,11 +121,12 @@ def shift_by_secondary(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_secondary_motion(law, s, given, ratio, h, memory):
-    """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command, which they extrapolate.
+    """Add the secondary motion in the null space to the commanded rates s.x (n,) of a published law.
 
-    If the secondary motion were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
-    (methods ca, aa, aad) the present null-space velocity converges to the desired velocity, at a rate that fades to 0 with the
-    desired speed. ratio: this step's h over that of the last step.
+    Methods cv and ca extrapolate from their previous command, `memory` (n,). It receives the motion, too, because the tip would
+    leave its path if only part of the command were extrapolated. At acceleration level (methods ca, aa, aad) the present null-space
+    velocity converges to the desired velocity, at a rate that fades to 0 with the desired speed. given: `Settings`; h [s]: this
+    step; ratio: h over the length of the last step.
     """
     if desired_null_velocity(law, s, given.limits, given.wish, s.x):
         n, kept, share = s.g.shape[0], 0.0, 1.0
@@ -142,10 +145,10 @@ def add_secondary_motion(law, s, given, ratio, h, memory):
 
 @inline
 def feed_back(law, s, limits, now, heavy, beyond):
-    """Shrink the error that is fed back (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
+    """Shrink the error to be corrected (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
 
-    heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether joint limits or
-    inequality constraints block the way that the error asks for.
+    limits (4, n): as in `Settings`; now: `Moment`; heavy: largest weight of an error; beyond: whether the target is out of reach.
+    Returns whether joint limits or inequality constraints block the way that the error asks for.
     """
     n, m = s.J.shape
     if beyond:
@@ -170,9 +173,10 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def bend_as_allowed(law, s, rate, blocked):
-    """Shorten the joint rates s.x2 (and s.x1), for which dJ/dt is taken, to what limits allow; to 0 if they block the joints.
+    """Shorten the rates expected for this step, with which dJ/dt is evaluated (s.x2, and s.x1 for reading 3), to what limits allow.
 
     For rates that the joints cannot reach, the terms with dJ/dt are large and wrong: two hands lost their grip by up to 20 mm.
+    rate (n,): present joint rates; blocked: whether limits block the correction of the error; s.x2 then becomes 0.
     """
     share = 1.0
     for i in range(rate.shape[0]):
@@ -212,7 +216,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        # When an error with slack leaves the task, its axis must be a direction of its own.
+        # `by_modes` needs the axis of an error that its slack takes out of the task as a task direction of its own. The directions
+        # of the last singular pose may mix axes, so the decomposition does not begin from them.
         if any_of(given.counts[1]):
             clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
@@ -238,7 +243,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != MODE.clip:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
+        # Method cv extrapolates from the command in own.memory, so that one, too, gets the rates along the directions removed.
         if law.code == LAW.cv:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_secondary_motion(law, s, given, ratio, h, own.memory)
@@ -267,13 +272,16 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
 
 @inner
 def copy_rows(source, target):
-    """Copy a matrix: target[:] = source."""
+    """Copy the matrix `source` to `target`, an array of the same shape."""
     for i in range(source.shape[0]):
         copy(source[i], target[i])
 
 
 def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Write the commanded joint rates to s.x, by `by_law` or `by_rule`; numba compiles the overload below instead."""
+    """Write the commanded joint rates to s.x (n,), by `by_law` (published laws) or `by_rule` (solvers).
+
+    This version runs without numba, which compiles the overload below instead.
+    """
     how = by_law if isinstance(rule, Published) else by_rule
     return how(law, rule, task, look, weights, s, given, own, now)
 
@@ -287,7 +295,10 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def shift_joints(law, rule, s, limits, wish, rate, h):
-    """Shift joint values for the command, by `skip_shift` or `shift_by_secondary`; numba compiles the overload below instead."""
+    """Shift the joint values at which a solver's iteration begins (`shift_by_secondary`); a law shifts none (`skip_shift`).
+
+    This version runs without numba, which compiles the overload below instead.
+    """
     how = skip_shift if isinstance(rule, Published) else shift_by_secondary
     return how(law, rule, s, limits, wish, rate, h)
 

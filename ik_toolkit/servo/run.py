@@ -240,7 +240,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
 
 
 def first_level(tracker: Any) -> np.ndarray:
-    """Return whether positions and orientations (2,) have the highest priority at any tip; only these decide on the verdict."""
+    """Return whether positions, and whether orientations, have the highest priority at any tip: (2,). Only these are judged."""
     return np.any(np.array(group_levels(tracker.robot, tracker.engine.options)).reshape(-1, 2) == 0, axis=0)
 
 
