@@ -29,7 +29,11 @@ EXACT = 1e-5
 
 
 def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return what `solutions` returns, for other arms of six revolute joints by the elimination; None for all other arms."""
+    """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
+
+    They are found by `solutions` or, for an arm of six revolute joints with no formula there, by elimination. For all other arms
+    the result is None.
+    """
     found = solutions(plan.robot, T)
     exact = elimination_plan(plan) if found is None else None
     if exact is None:
@@ -44,8 +48,9 @@ def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
 
-    A pose with fewer than K solutions has rows of NaN. Joint limits and shifts by 2 pi are ignored. Returns None for an arm of
-    another structure.
+    A pose with fewer than K solutions has rows of NaN. Joint limits and shifts by 2 pi are ignored. The result is None unless the
+    arm is planar with three revolute joints, or has six, of which the axes of the second to fourth are parallel and those of the
+    last two meet.
     """
     s = read_screws(robot.chain)
     if not isinstance(s, Screws) or not s.turns.all():

@@ -64,8 +64,8 @@ def proven(
 ) -> ProvenMotion:
     """Insert rows where needed between the rows q (N, n) [rad or m] of a path, and verify the motion.
 
-    found: the path as the search found it; step (rad, m): largest joint step; tolerance (m, rad): largest deviation of
-    a tip between the poses; model: a CollisionModel or None.
+    found: the path as the search found it; step (rad, m): largest joint step; tolerance (m, rad): largest deviation of a tip
+    between the poses; model: a CollisionModel or None. Returns the rows, the motion between them, and what is proven.
     """
     p = search.problem
     q = p.inside(q)
@@ -217,16 +217,16 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Convert the breaks of a path with inserted poses to the indices of the requested poses after which they occur.
+    """Return the indices of the requested poses after which a path with inserted poses breaks, each once.
 
-    breaks: the breaks as indices of all M poses, inserted ones included; at (M,): positions of these poses on the path through the
-    requested ones.
+    breaks: indices of the poses, inserted ones included, after which it breaks; at (M,): positions of all poses on the path through
+    the requested ones.
     """
     return sorted({int(at[k]) for k in breaks})
 
 
 def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
-    """Convert a motion through M poses, at positions `at` (M,) on the path through the requested poses, to the requested poses.
+    """Drop inserted poses from a motion through M poses, at positions `at` (M,) on the path through the requested ones.
 
     Inserted poses become rows of the curve only. A motion that breaks between two requested poses stops at the first and continues
     at the second.
