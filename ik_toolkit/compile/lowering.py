@@ -110,7 +110,10 @@ class PartLower(Lower):
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value as it is, or store it in memory; the value that it replaces needs no reference counting."""
+        """Assign to a variable of the code being compiled: the value is kept as it is if it is the only one, else stored in memory.
+
+        numba's own method also counts references to the old value, which the arrays and numbers of kernels do not need.
+        """
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:
