@@ -194,8 +194,9 @@ def bend_as_allowed(law, s, rate, blocked):
 def by_law(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates that a published tracking method commands.
 
-    Returns the number of singular directions removed from the task, or the squared damping of the pseudo-inverse in
-    mode clip.
+    law: `Law`; task, look: the compiled problem and its evaluation at s.at; s: `Bench`; given: `Settings`; own: `Carried`; now:
+    `Moment`. Returns the number of singular directions removed from the task, or in mode clip the squared damping of the
+    pseudo-inverse.
     """
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
@@ -254,7 +255,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 def by_rule(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates of one solver iteration: its step towards the target's next pose, divided by h.
 
-    Returns 0, because no directions are removed from the task.
+    rule: the solver's iteration; weights (n,): joint weights; other arguments are those of `by_law`. Returns 0, because no
+    directions are removed from the task.
     """
     d = task.desk
     if any_of(s.g) or not task.plain():  # Otherwise the Jacobian computed at the start of the step is still valid.

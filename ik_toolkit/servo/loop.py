@@ -126,7 +126,8 @@ def limit_oscillation(law, s, rate, swings, h, state):
 def record_oscillation(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
-    A limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
+    code (n,): bits of the limits that held joints back in this step; swings (3, n): as in `viability.watch`; h [s]: the step. A
+    limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
     """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
@@ -200,8 +201,9 @@ def judge(wanted, h, p, state):
 def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
-    already in s. code (n,) receives the bits of the limits that held joints back.
+    law: `Law`; s: `Bench`; count: number of inequality constraints; h [s]: the step; own: `Carried`; work: memory for `constrain`.
+    If mu > 0, the step is a damped least-squares step with this damping, whose task is already in s. code (n,) receives the bits of
+    the limits that held joints back.
     """
     n = s.J.shape[0]
     mode, size = int(law.mode), s.size

@@ -121,10 +121,10 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, s, count, h, state):
     """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside the band, an error may come closer to its edge by at most the share SLACK.nearly of the distance in one sample; slightly
-    outside, it is brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task
-    or contradict the limits (STATE.pressed), every error outside its band stays in the task, because hard inequalities would then
-    let joints turn at full speed.
+    slack (m,): 0 for an error without slack; s: `Bench`; h [s]: the step. Inside the band, an error may come closer to its edge by
+    at most the share SLACK.nearly of the distance in one sample; slightly outside, it is brought back. An error further outside
+    stays in the task, reduced by its slack. While inequalities block the task or contradict the limits (STATE.pressed), every error
+    outside its band stays in the task, because hard inequalities would then let joints turn at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -152,7 +152,7 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
+    """Add to g (n,) a velocity away from near position limits, which grows smoothly from 0 inside the range; gain [1/s]."""
     for i in range(q.shape[0]):
         lower, upper = limits[LIMIT.lowest, i], limits[LIMIT.highest, i]
         wide = upper - lower

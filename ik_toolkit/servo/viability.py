@@ -148,7 +148,7 @@ def way_to(limit, q, sign):
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
-    """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
+    """Return a joint's highest next rate towards a limit at the distance `way`; v: present rate in that direction.
 
     Outside the limit (way < 0) the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed
     limit, and so that it can stop at the limit.
@@ -278,7 +278,7 @@ def clip(x, box, code):
 
 @dual
 def move(q, rate, x, gamma, h):
-    """Integrate one step of h [s] in place: q and rate (n,) move on to the next rates x (n,), weighted by gamma."""
+    """Take one step of h [s]: joint values q and rates rate (n,) change in place as the next rates x (n,) with weight gamma say."""
     for i in range(q.shape[0]):
         q[i] += h * x[i] if gamma == 1.0 else h * ((1.0 - gamma) * rate[i] + gamma * x[i])
         rate[i] = x[i]
