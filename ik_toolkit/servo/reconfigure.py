@@ -84,18 +84,8 @@ class Postures:
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
         for quick in (False, True):
             self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited, quick=quick)
-        travel(
-            q,
-            np.zeros_like(q),
-            q,
-            *UNKNOWN,
-            0.0,
-            1.0,
-            ARRIVAL.wait,
-            ARRIVAL.wait,
-            unlimited,
-            np.zeros(len(q), np.uint8),
-        )
+        code, h = np.zeros(len(q), np.uint8), ARRIVAL.wait
+        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, h, h, unlimited, code)
 
     def find(
         self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray, *, quick: bool = False
