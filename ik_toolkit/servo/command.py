@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ..compile.jit import INLINE, inline, inner
+from ..compile.jit import INLINE, inline
 from ..kernel.limits import LIMIT
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
@@ -270,13 +270,6 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     for i in range(s.x.shape[0]):
         s.x[i] = s.g[i] + (d.dq[i] / now.h if code != SINGULAR_STEP else 0.0)
     return 0.0
-
-
-@inner
-def copy_rows(source, target):
-    """Copy the matrix `source` to `target`, an array of the same shape."""
-    for i in range(source.shape[0]):
-        copy(source[i], target[i])
 
 
 def wanted(law, rule, task, look, weights, s, given, own, now):

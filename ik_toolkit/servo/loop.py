@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ..compile.array_view import keep, space, view
+from ..compile.array_view import flat, keep, space, view
 from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
 from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.search import step_class
 from ..kernel.vectors import apply_transposed, clear
-from .command import Moment, Published, copy_rows, shift_joints, wanted
+from .command import Moment, Published, shift_joints, wanted
 from .constrained_step import MODE, OUTCOME, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
 from .laws import Law, apply, factor, rewrite_command, settle
@@ -88,7 +88,7 @@ def evaluate_task(task, look, s, V, A, plain, counts, E):
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
-    copy_rows(task.desk.J, s.J)
+    copy(flat(task.desk.J), flat(s.J))
     task.moving(V, s.f)
     task.moving(A, s.a)
     task.base_axes(s.e, E)
