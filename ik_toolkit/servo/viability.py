@@ -199,17 +199,14 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
 @dual
 def boxes(q, rate, limits, gamma, h, late, box):
-    """Write the bounds on the next rate of every joint to `box`; return True if any joint has to return inside its limits.
+    """Write the bounds on the next rate of every joint to `box` (RateBox).
 
     q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration.
     """
-    recovering = False
     for i in range(q.shape[0]):
         lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
         found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
-        recovering = recovering or (box.why_top[i] & BIT.recovering) > 0
-    return recovering
 
 
 @shared
@@ -261,19 +258,16 @@ def calm(rate, size, swings, h, box):
 
 @dual
 def clip(x, box, code):
-    """Clip the desired rates x (n,) in place to their bounds, each joint on its own; return True if any limit was active.
+    """Clip the desired rates x (n,) in place to their bounds in `box` (RateBox), each joint on its own.
 
     code (n,) receives for each joint the bits of the limit that held it back, 0 for none.
     """
-    hit = False
     for i in range(x.shape[0]):
         code[i] = box.why_top[i] & BIT.recovering
         if x[i] > box.roof[i]:
             x[i], code[i] = box.roof[i], box.why_top[i]
         elif x[i] < box.floor[i]:
             x[i], code[i] = box.floor[i], box.why_low[i]
-        hit = hit or code[i] > 0
-    return hit
 
 
 @dual
@@ -286,16 +280,16 @@ def move(q, rate, x, gamma, h):
 
 @jit
 def advance(q, rate, x, gamma, h, late, limits, code):
-    """Take one step in place towards the desired rates x (n,), each joint clipped on its own; return True if a limit was active.
+    """Take one step in place towards the desired rates x (n,), each joint clipped on its own inside limits (4, n).
 
-    If x is 0, the joints brake. code (n,) receives the bits of the limits that held each joint back.
+    If x is 0, the joints brake. gamma: weight of the new rate; h [s]: this step; late [s]: longest later one. code (n,) receives
+    the bits of the limits that held each joint back.
     """
     ends, why = np.empty((2, q.shape[0])), np.empty((2, q.shape[0]), np.uint8)
     box = RateBox(ends[0], ends[1], why[0], why[1])
     boxes(q, rate, limits, gamma, h, late, box)
-    hit = clip(x, box, code)
+    clip(x, box, code)
     move(q, rate, x, gamma, h)
-    return hit
 
 
 @cached_small
