@@ -12,7 +12,7 @@ import numpy as np
 
 from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
-from .viability import LIMIT, bending
+from .viability import LIMIT, bending, stopping
 
 ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
@@ -56,19 +56,6 @@ class Path(NamedTuple):
     even: float
     alone: np.ndarray
     aside: np.ndarray
-
-
-def stopping_distances(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
-    """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,): `viability.stopping` for arrays.
-
-    a: deceleration (n,) or for all joints; late [s]: longest step; gamma: weight of the new rate in a step.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way = np.asarray(v * v / (2.0 * a))
-        if gamma == 1.0:
-            return np.where(v == 0.0, 0.0, way)
-        short = v <= 0.5 * a * late
-        return np.where(short, 0.5 * v * late, way + 0.125 * a * late * late) + max(0.5 - gamma, 0.0) * v * late
 
 
 class Guard:
@@ -308,10 +295,11 @@ class Guard:
             if even <= 0.0:
                 return None
             room = np.where(rate > 0.0, upper - q, q - lower)
-            time = stopping_distances(1.0, self.gamma, even, late)
-            alone = (speed > 0.0) & (speed * time > room)
-            aside = np.where(alone, stopping_distances(speed, self.gamma, most, late), 0.0)
-            move = np.where(alone, 0.0, rate * time)
+        time = stopping(1.0, self.gamma, even, late)
+        alone, aside = (speed > 0.0) & (speed * time > room), np.zeros(len(q))
+        for i in np.flatnonzero(alone):
+            aside[i] = stopping(speed[i], self.gamma, most[i], late)
+        move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move
         # The last piece, the braking, is stored as if the joints moved at a constant rate.
