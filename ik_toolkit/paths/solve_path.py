@@ -27,8 +27,7 @@ from ..solvers.plan import Plan
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import kernel_tasks
 from ..text import angle, length
-from .finish import collapsed, finished, gaps, inserted
-from .fraction import fraction
+from .finish import collapsed, finished, fraction, gaps, inserted
 from .freedom import errors_at_rows, freedom
 from .path_problem import (
     STEP,
