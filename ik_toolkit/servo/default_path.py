@@ -161,10 +161,6 @@ def paths(
     for tip in robot.tips:
         held = tip in relative and relative[tip] in T
         at = T[relative[tip]].actInv(T[tip]) if held else T[tip]
-        made[tip] = _drawn(at.homogeneous, "line" if held else kind, 0.0 if held else size, axis, free, rest)
+        start = at.translation.copy() if free else at.homogeneous
+        made[tip] = draw("line" if held else kind, start, 0.0 if held else size, axis, **rest)
     return robot.for_tips(made)
-
-
-def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:
-    """Make the reference of `draw` from a pose at (4, 4), or from its position only if `free`."""
-    return draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest)
