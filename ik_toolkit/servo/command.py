@@ -98,13 +98,7 @@ def desired_null_velocity(law, s, limits, wish, base):
 
 
 @inline
-def skip_shift(law, rule, s, limits, wish, rate, h):
-    """Return False, as a published law shifts no joint: `add_secondary_motion` is called later. Solvers: `shift_by_secondary`."""
-    return False
-
-
-@inline
-def shift_by_secondary(law, rule, s, limits, wish, rate, h):
+def shift_by_secondary(law, s, limits, wish, rate, h):
     """Shift s.at (n,), where error and Jacobian are evaluated, by one step of secondary motion in the null space.
 
     The solver's iteration then also corrects what that motion does to the tip. Returns whether there was a secondary motion; s.g
@@ -290,15 +284,15 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def shift_joints(law, rule, s, limits, wish, rate, h):
-    """Shift the joint values at which a solver's iteration begins (`shift_by_secondary`); a law shifts none (`skip_shift`).
+    """Return whether joint values were shifted by `shift_by_secondary`; for a published law they are not.
 
     This version runs without numba, which compiles the overload below instead.
     """
-    how = skip_shift if isinstance(rule, Published) else shift_by_secondary
-    return how(law, rule, s, limits, wish, rate, h)
+    return not isinstance(rule, Published) and shift_by_secondary(law, s, limits, wish, rate, h)
 
 
 @overload(shift_joints, jit_options=INLINE)
 def _lean(law, rule, s, limits, wish, rate, h):
-    how = skip_shift if rule.instance_class is Published else shift_by_secondary
-    return lambda law, rule, s, limits, wish, rate, h: how(law, rule, s, limits, wish, rate, h)
+    if rule.instance_class is Published:  # A published law adds its secondary motion later, in `add_secondary_motion`.
+        return lambda law, rule, s, limits, wish, rate, h: False
+    return lambda law, rule, s, limits, wish, rate, h: shift_by_secondary(law, s, limits, wish, rate, h)
