@@ -124,9 +124,7 @@ def pack_law(method: Method, h: float) -> np.ndarray:
     Entries that the tracker sets, not the method, are 0.
     """
     gains = method.gains(h)
-    law = laws.Law(
-        *np.zeros(len(laws.Law._fields)),
-    )._replace(
+    law = laws.Law(*np.zeros(len(laws.Law._fields)))._replace(
         code=METHODS[method.name][0],
         kappa=gains.get("kappa", 0.0),
         kp=gains.get("kp", 0.0),

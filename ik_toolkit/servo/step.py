@@ -245,10 +245,7 @@ class Step:
             (BIT.velocity, "speed limit on"),
             (BIT.acceleration, "acceleration limit on"),
             (BIT.calmed, "kept from swinging or overshooting:"),
-            (
-                BIT.row,
-                f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",
-            ),
+            (BIT.row, f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows"),
         )
         for bit, name in words:
             held = [j for j, c in zip(o.by.robot.joint_names, o.code, strict=True) if c & bit]
