@@ -288,7 +288,8 @@ def shift_joints(law, rule, s, limits, wish, rate, h):
 
     This version runs without numba, which compiles the overload below instead.
     """
-    return not isinstance(rule, Published) and shift_by_secondary(law, s, limits, wish, rate, h)
+    how = (lambda *_: False) if isinstance(rule, Published) else shift_by_secondary
+    return how(law, s, limits, wish, rate, h)
 
 
 @overload(shift_joints, jit_options=INLINE)
