@@ -103,7 +103,10 @@ class PartLower(Lower):
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Assign an LLVM value to a variable: in a register if the variable is assigned only once, else in memory."""
+        """Assign an LLVM value to a variable: in a register if the variable is assigned only once, else in memory.
+
+        Numba's own method also counts references to the old value, which the arrays and numbers of kernels do not need.
+        """
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:

@@ -33,7 +33,7 @@ EACH, AT_LEAST = 30, 20_000
 class Margins:
     """Collision tests of a CollisionModel in which a pair of shapes counts as touching if it is nearer than its margin.
 
-    arms (n, pairs): lever arms, by how much a pair's distance changes at most per unit of each joint [m/rad or m/m]
+    arms (n, pairs): lever arms: the most by which a pair's distance changes per unit of each joint [m/rad or m/m]
     size (pairs,): longest lever arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
     levels: the margin factors that are tested, largest first
     spent: number of tests made so far
@@ -52,13 +52,13 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """Return by how much (S,) [rad] the margin factor may shrink, over all pairs, in the joint moves dq (S, n) [rad or m]."""
+        """Return how much (S,) [rad] joint moves dq (S, n) [rad or m] can lower the margin factor at which all pairs are free."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
 
     def free(self, q: np.ndarray, margin: float) -> bool:
-        """Return whether all pairs are farther apart than margin * size at q (n,); for margin 0, whether nothing touches."""
+        """Return whether all pairs are farther apart at q (n,) than the factor `margin` [rad] times their size; 0: do not touch."""
         self.spent += 1
         if margin == 0.0:
             return not self.collision.collides(q)
@@ -75,7 +75,7 @@ class Margins:
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
         """Return the largest of the margin factors levels[first:] with which q (n,) is free of contact, and its index.
 
-        The factor is 0 if all of them are too large but nothing touches, and -1 if shapes touch.
+        If q is free with none of these factors, the result is 0 where nothing touches, and -1 where shapes touch.
         """
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):
@@ -101,7 +101,8 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    # Lever arms are stored per joint of Pinocchio's model, so that joints which carry both shapes of a pair can be left out.
+    # own (shapes, n, joints of Pinocchio's model): a lever arm is stored under the joint it belongs to, so that joints which carry
+    # both shapes of a pair can be left out below.
     own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()

@@ -71,7 +71,7 @@ class PathBounds(NamedTuple):
     """A path that solutions are continued along, and the bounds they must keep, see `carry_along`."""
 
     T: Array  # (N, 4, 4) or (N, F, 4, 4) the path's poses
-    pose: Array  # scratch for one pose
+    pose: Array  # one pose of the path, scratch
     box: Bounds
     most: Array  # (n,) largest step of each joint
     deviation: Array  # (2,) how far [m], [rad] a tip may leave the interpolated pose
@@ -184,7 +184,7 @@ CHUNK = 8  # number of tracks that a thread continues in one task
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
-    """Choose at most `count` widely spaced configurations of found (M, n).
+    """Choose at most `count` widely spaced configurations of found (M, n) and return them, (K, n).
 
     Each choice is the configuration farthest from those in `have` (K, n) and those already chosen, if its distance (the largest
     difference of a joint) is above `least`.

@@ -118,7 +118,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # interpolation has overwritten the old rows that are followed by a row of NaN
+        rows[~new] = curve  # Old rows before one of NaN have become NaN by interpolation, so all old rows are restored.
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Where an inserted row has no solution, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True
@@ -142,7 +142,10 @@ def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> 
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Do the same as `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
+    """Move rows q (M, n) [rad or m] onto the targets T (M, F, 4, 4), or if the arm has too few joints, as near as it comes.
+
+    Returns the rows (M, n) and whether each is inside the tolerances, or as near as possible (M,).
+    """
     q, good = settle_on_targets(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
 

@@ -30,7 +30,7 @@ class Freedom(NamedTuple):
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """Return the Freedom that the joints, without those of weight 0, have for targets of these kinds (one kind per tip)."""
+    """Return which components of targets of these kinds (one per tip) can be changed by the joints whose weight is not 0."""
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)
@@ -60,15 +60,14 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
     own = most(J)
     everywhere = np.moveaxis(J[:, used], 0, 2).reshape(len(blocks), 3, -1)
-    # Planar arms, gantries and SCARA arms can move in the same directions everywhere, and their rotations are independent of their
-    # translations.
-    # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
+    # `closed`: the arm can move in the same directions everywhere, and turn independently of where it moves, as planar arms,
+    # gantries and SCARA arms can. Interpolation between two of its poses then needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
     if all(kind in (KIND.pose, KIND.position, KIND.free) for kind in kinds) and not counts_in_part(kinds, plan.options):
         return Freedom(min(own, rows), not closed and own < 3 * len(blocks))
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, plan.options), strict=True)):
-        if (axis := free_axis(counts, kind)) is not None:  # a rotation about this axis does not count
+        if (axis := free_axis(counts, kind)) is not None:  # Rotation about this axis of the tip does not count.
             free = np.array([robot.tip_poses(q)[f].rotation @ axis for q in Q])
             J[:, 2 * f + 1] -= free[:, :, None] * np.einsum("si,sij->sj", free, J[:, 2 * f + 1])[:, None]
     able = most(J)

@@ -73,7 +73,7 @@ class Problem:
         self.stand = (robot.home if q0 is None else q0) / self.unit
         able = freedom(self.single, kinds)
         turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
-        if able.lacks:  # The arm cannot reach interpolated poses, so its motion is checked only after the search.
+        if able.lacks:  # Interpolated poses are out of reach for too few joints: motion is checked after the search.
             self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -101,7 +101,7 @@ class Problem:
         else:
             single.run(T, self.kinds, Q0, True, out)
         good = out[:, AT.status] == CODE.converged
-        # The solver's own search has better starts and more patience, and may prove that there is no solution.
+        # If all single attempts fail, the solver searches as usual: with better starts, for longer, and with a proof if it can.
         if not good.any():
             out, good = self.plan.solve(T[:1], self.kinds, Q0[:1], True)[None], np.ones(1, dtype=bool)
             if out[0, AT.status] != CODE.converged:
@@ -109,7 +109,7 @@ class Problem:
         return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [internal units] with each joint that may wrap shifted by 2 pi k to be nearest its mid-range."""
+        """Return Q (m, n) [internal units], where joints that can turn by 2 pi are shifted by 2 pi k to be nearest mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False

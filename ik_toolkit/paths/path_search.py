@@ -32,11 +32,12 @@ class Effort(NamedTuple):
     # largest number of tracks of all first anchors of a redundant robot, to bound the time of simple paths
     first: int = 300
     tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
-    patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
-    rounds: int = 8  # listed solutions that lie on no track are added in at most this many rounds; two are usual
+    patience: int = 2  # The search ends if so many rounds of further anchors in a row have not made the path better.
+    rounds: int = 8  # For a proof, solutions that lie on no track are added in at most this many rounds; two are usual.
     # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
     near: float = 0.003  # With this margin the motion between poses is easily proven free of contact.
-    probes: int = 9  # poses without a solution in a row, after which the others of a gap get fewer attempts
+    # After so many poses in a row without a solution, the others of a gap are solved with fewer attempts.
+    probes: int = 9
     least: int = 20_000  # A search may make `budget` collision tests per pose of the path, and at least `least` in all.
     budget: int = 200
 
@@ -111,13 +112,13 @@ class Search:
         self.found: Any = None
         self.lower_bound: int | None = None
         # all solutions (N, K, n) of the poses [internal units], and whether (N,) these are proven to be all; None: no list
-        self.listing, self.legal = self.list_solutions()  # legal (N, K): which of them keep the joint limits
+        self.listing, self.legal = self.list_solutions()  # legal (N, K): which of these solutions keep the joint limits
         self.copied: set[int] = set()  # joints with a range above 2 pi whose tracks are copied with shifts by 2 pi
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
-        """Test contact with the function collides(q), q (n,) [rad or m], from now on; forget earlier results."""
+        """From now on count q (n,) [rad or m] as in contact where the function collides(q) says so; forget earlier results."""
         self.collides = collides
         self.tester = Tester(collides, self.problem.unit, max(EFFORT.budget * len(self.problem.T), EFFORT.least))
 
@@ -241,7 +242,7 @@ class Search:
     def best(self, allowed: float | None = None) -> Found:
         """Return the best path to the last pose or, with `allowed`, to the farthest pose that this many reconfigurations reach.
 
-        If a joint's winding does not fit its limits, its tracks are copied with shifts by 2 pi, and the search is repeated.
+        If it turns a joint too far for its limits, tracks are copied with that joint shifted by 2 pi k, and it is sought again.
         """
         while True:
             found, unfit = self.made(allowed)
@@ -251,7 +252,7 @@ class Search:
             self.build()
 
     def made(self, allowed: float | None) -> tuple[Found, set[int]]:
-        """Return the best path in the current dynamic program, and the joints whose winding does not fit their limits.
+        """Return the best path in the current dynamic program, and the joints that it would turn too far for their limits.
 
         allowed: None, or the largest number of reconfigurations; the path then ends at the farthest pose they lead to.
         """
@@ -273,7 +274,7 @@ class Search:
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
         breaks = []
-        # A jump across unreached poses is a reconfiguration only if all the unreached poses were inserted.
+        # A jump across poses that are not reached counts as a reconfiguration only if all of them were inserted, not asked for.
         for t in np.flatnonzero(jumps).tolist():
             before = int(on[np.searchsorted(on, t) - 1])
             if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():
@@ -307,7 +308,7 @@ class Search:
 
     # ------------------------------------------------------------------------------------------------------------- proof
     def prove(self) -> None:
-        """Set `lower_bound` if the number of reconfigurations is proven to be the least.
+        """Set `lower_bound` to the number of reconfigurations of the path found, if no path through the poses can have fewer.
 
         That is so if the number is 0, or if each solution of every pose lies on a track, and all tracks provably end where they do.
         """
@@ -326,14 +327,14 @@ class Search:
             self.link()
         else:
             return
-        # If the list of one pose between two complete ones lacks a solution, a path would enter and leave it by reconfigurations.
+        # A solution that only one pose between two complete ones lacks does no harm: passing it takes two reconfigurations.
         beside = np.pad(sure, 1, constant_values=True)
         known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
         if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
             self.lower_bound = len(self.found.breaks)
 
     def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
-        """Return the attributes `listing` and `legal`, see the comments in __init__."""
+        """Return all solutions of the poses and whether they are proven to be all, or None; and which keep the joint limits."""
         p = self.problem
         isolated = p.kinds == (KIND.pose,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
         listed = every_solution(p.single, p.T) if isolated and not p.redundant else None
@@ -383,7 +384,7 @@ class Search:
         said = []
         for t in np.flatnonzero((self.program.state == DEAD).all(axis=1)):
             place = self.problem.at[t]
-            if place != round(place):  # Inserted poses are not reported.
+            if place != round(place):  # This pose was inserted, not asked for.
                 continue
             beyond, reason, proven = self.anchored.get(int(t), 0.0), "no solution found", False
             if t not in self.anchored:

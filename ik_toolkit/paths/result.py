@@ -185,7 +185,8 @@ class PathResult:
         if (suffix := file.suffix.lower()) == ".json":
             write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
         elif suffix == ".npz":
-            targets = self.targets if len(self.robot.tips) > 1 else self.targets[:, 0]  # as files of poses have them
+            # For one tip they are (N, 4, 4), so that the file can be read as poses.
+            targets = self.targets if len(self.robot.tips) > 1 else self.targets[:, 0]
             arrays: dict[str, Any] = {"targets": targets, "q": self.q, "position_error": self.position_error}
             arrays |= {} if self.orientation_error is None else {"orientation_error": self.orientation_error}
             arrays |= {"curve": self.curve, "at": self.at, "tips": np.array(self.robot.tips)}
@@ -278,7 +279,8 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion breaks between two rows
     for k in breaks:
-        cut[min(int(np.searchsorted(at, k)), len(cut) - 1)] = True  # a contact at the last row has no row after it
+        # A contact at the last row is not followed by a step, so the last step is marked.
+        cut[min(int(np.searchsorted(at, k)), len(cut) - 1)] = True
     starts = np.flatnonzero(np.append(True, cut))
     ends = np.append(starts[1:], len(curve))
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]

@@ -26,7 +26,7 @@ CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, mor
 
 @inline
 def shortest_difference(d, endless):
-    """Return a joint value or difference d [rad]; if endless > 0, modulo 2 pi in the range from -pi to pi."""
+    """Return the joint value or difference d [rad]; if endless > 0, shifted by a multiple of 2 pi into the range from -pi to pi."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
@@ -34,8 +34,9 @@ def shortest_difference(d, endless):
 def step(Q, t, a, u, b, most, endless, price, near, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
-    If a joint moves further than `most` (n,), the cost is infinite if near > 0; if near is 0, price[2, 0] is added once.
-    Other arguments are those of `link_layers`.
+    Q (N, K, n): configurations of the tracks; endless (n,): 1 if a joint's values count modulo 2 pi; price (3, n): see
+    `link_layers`. If a joint moves further than `most` (n,), the cost is infinite if near > 0; if near is 0, price[2, 0] is added
+    once.
     """
     total, over = 0.0, 0.0
     for i in range(most.shape[0]):
@@ -52,7 +53,7 @@ def step(Q, t, a, u, b, most, endless, price, near, enough):
 
 @inner
 def barred(blocked, low, high, a, b):
-    """Return whether the step from track a to track b is one of the excluded steps blocked[low:high], see `link_layers`."""
+    """Return whether the step from track a to track b is excluded: whether a row of blocked[low:high] is (pose, a, b)."""
     for k in range(low, high):
         if blocked[k, 1] == a and blocked[k, 2] == b:
             return True
@@ -293,11 +294,12 @@ class Tester:
         """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): size of the internal units."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
-        self.looked = False  # whether all tracks were tested at every 16th pose, after a first contact
+        # whether `look_over` has tested all tracks at every 16th pose, as it does after a first contact
+        self.looked = False
 
     def of(self, program: Program) -> "Tester":
-        """Test the states of another program from now on, and return self; if its first tracks are the same, results are kept."""
-        # Dynamic programs have the same track in the same column only if they share the tracks' memory.
+        """Test the states of another Program from now on, and return self; results for tracks that both programs have are kept."""
+        # Only two programs that share the memory of their tracks have the same tracks, in the same columns.
         if self.program is not None and np.shares_memory(self.program.Q, program.Q):
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
@@ -357,9 +359,10 @@ class Tester:
 
 
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best path whose states are all tested for contact, as `Program.path` does.
+    """Return the tracks (N,) of the best path whose states are all tested for contact, and where it reconfigures (N,).
 
-    When the budget of collision tests runs out, the best path so far is returned.
+    -1 marks a pose without a track; a reconfiguration is marked at the pose after it. When the budget of collision tests runs out,
+    the best path so far is returned.
     """
     N = len(program.Q)
     order = middle_first(N)

@@ -27,8 +27,7 @@ from ..solvers.plan import Plan
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import kernel_tasks
 from ..text import angle, length
-from .finish import collapsed, finished, gaps, inserted
-from .fraction import fraction
+from .finish import collapsed, finished, fraction, gaps, inserted
 from .freedom import errors_at_rows, freedom
 from .path_problem import (
     STEP,
@@ -113,7 +112,7 @@ def solve_path(
     _check(options, progress)
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
-    robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
+    robot = solver.robot  # a copy of the given robot with narrower limits, if the options say so
     T, kinds = _read(robot, poses)
     step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
@@ -151,12 +150,12 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # reversing some half turns may need fewer reconfigurations
+            search.lower_bound = None  # Fewer might do if other rotations by 180 degrees were reversed.
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
         if wanted is None and (search.found.breaks or not settled) and len(search.problem.T) > len(T):
-            # Near a singular pose a motion may keep the path tolerance without the inserted poses.
+            # Near a singular pose a motion that misses inserted poses may still keep the path tolerance.
             other = fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max()))
             other.run()
             _share_bound(search, other)
@@ -286,7 +285,8 @@ def _result(
     found, kept, q = search.found, motion.found, motion.q
     asked = problem.at == np.round(problem.at)
     poses, T = problem.poses[asked], problem.T[asked]
-    # Several breaks between the same two requested poses count as one, so only "at least one" is proven.
+    # The bound counts breaks between inserted poses, but several between the same two requested poses are one reconfiguration. So
+    # only "at least one" is proven.
     least = search.lower_bound
     least = least if least is None or asked.all() else min(least, 1)
     errors = errors_at_rows(problem.robot, q, T, problem.kinds, problem.single.options)
@@ -308,7 +308,8 @@ def _result(
         elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
-    # With a priority the pose itself need not be reached, so a solve of it alone would show another cause.
+    # The cause comes from solving the first pose that is not reached. With a priority the pose itself need not be reached, so that
+    # solve could fail for another cause.
     plain = problem.follower is problem.single
     cause = _cause(problem, T[missing[0].index]) if missing and plain else ""
     result = replace(result, message=path_sentence(result, needed, allowed, cause))

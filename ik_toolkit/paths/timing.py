@@ -24,8 +24,8 @@ GRID = 200
 TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
-MOST_SAMPLES = 1e7  # a trajectory with more samples is refused: its rate is surely a mistake
-# NaN for the positions on the path of both ends of a free motion, because such a motion is not on the path
+MOST_SAMPLES = 1e7  # A trajectory of more samples is refused, because such a rate must be a mistake.
+# positions on the path (none: NaN) of the two ends of a free motion from one branch to another, which is not on the path
 NOWHERE = np.full(2, np.nan)
 KEPT = 0.99  # A tip counts as keeping the requested speed if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
@@ -35,7 +35,7 @@ TOLD = 3  # largest number of positions that a message lists
 def retime(
     result: Any, velocity: Any, acceleration: Any, rate: float, seed: int, path_tolerance: Any, tip_speed: Any
 ) -> Trajectory:
-    """Return the time-optimal Trajectory of a PathResult; see `PathResult.retime` for arguments and errors."""
+    """Return the time-optimal motion along a PathResult; arguments and errors are those of `PathResult.retime`."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
     rate, seed = positive(rate, "rate [1/s]"), whole(seed, "seed", 0)
@@ -276,7 +276,8 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
     knots = piece.knots
-    # Between grid points the tip is slower than its limit by as much as its rate along the curve changes there.
+    # The tip keeps its limit at the fastest point around each grid point and is slower elsewhere, so a tip speed that is to be kept
+    # needs a finer grid.
     points = GRID if tip_speed == math.inf else 10 * GRID
     between = max(2, math.ceil(points / (len(knots) - 1)))
     step = np.diff(knots) / between

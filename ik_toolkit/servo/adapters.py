@@ -22,16 +22,18 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method, pack_law
 from .stability import GainCheck, check_gains
 
-# weight of the errors of one priority level relative to those of the next higher level; with 0.01 the tip stays up to 0.3 mm off
+# weight of the errors of one priority level relative to those of the next higher level; with 0.01 lower levels would pull the tip
+# up to 0.3 mm off what a higher level asks for
 LOWER = 0.001
-RELATIVE = 100.0  # weight of errors relative to another tip, because two hands must above all keep their grip
+# factor on the weights of a tip whose target is given in another tip's frame, because two hands must above all keep their grip
+RELATIVE = 100.0
 LEVER = 0.2  # [m] default of length_scale: an angle of 1 rad counts as much as this length, about that of a hand
 ALIKE = 0.6  # difflib similarity above which an unknown option is taken for a misspelt option of another method
 WORDS = (*COUNTING, "relative_to", "priority", "length_scale")  # names of the options that select and weight errors
 
 
 def even(robot: Robot | Tree, options: Options) -> np.ndarray:
-    """Return weights (6,) for position errors (in arm reaches) and rotation errors [rad], so that 1 rad counts as length_scale.
+    """Return weights (6,) for position errors (in arm reaches) and rotation errors [rad], so that 1 rad counts as length_scale [m].
 
     The geometric mean of the weights is 1, so singular values keep their magnitude.
     """
@@ -42,7 +44,7 @@ def even(robot: Robot | Tree, options: Options) -> np.ndarray:
 class Published:
     """Drives a robot by one of the tracking methods cv, av, ca, aa, aad (see `Method`)."""
 
-    waits = True  # `track` slows the reference's clock when the error exceeds its tolerance
+    waits = True  # if the error exceeds its tolerance, `track` slows the clock by which the reference is run through
 
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
         """Bind the method to the robot, without compiling. counting: options such as mask and slack that select errors."""
@@ -80,10 +82,11 @@ class Published:
         return pack_law(self.method, h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the task parameters for the compiled loop; kinds: kind of target (KIND.pose or KIND.position) of each tip.
+        """Return what the compiled loop reads of the task; kinds: kind of target (KIND.pose or KIND.position) of each tip.
 
         Returns:
-            The packed task parameters, and an array (4, m) with a column for each error: its weight, its slack (dead band) in
+            A flat array of the task's numbers (Orders, a Task for each tip, joint weights), and an array (4, m) with a column for
+            each error: its weight, its slack (dead band) in
                 arm reaches or rad, the same slack in m or rad, and the weight of its level relative to level 0.
         """
         scale, n = self.robot.chain.scale, self.robot.n
@@ -130,11 +133,11 @@ class RuleSteps:
         vars(self).update(state, loop=servo(type(state["solver"].rule)))
 
     def settings(self, h: float) -> dict[str, float]:
-        """Return the numerical parameters of the solver, by name; they do not depend on the sample time h."""
+        """Return the numerical parameters of the solver, by name; they do not depend on the sample time h [s]."""
         return {k: v for k, v in self.solver.rule._asdict().items() if isinstance(v, int | float)}
 
     def check(self, h: float) -> GainCheck | None:
-        """Return None, as there is no closed-form stability condition for the iteration of a solver."""
+        """Return None: for the iteration of a solver no formula says at which sample times h [s] it is stable."""
         return None
 
     def law(self, h: float) -> np.ndarray:
@@ -144,9 +147,10 @@ class RuleSteps:
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the task parameters for the compiled loop, and an array (4, m) whose first row holds the errors' weights.
+        """Return a flat array of the task's numbers for the compiled loop, and an array (4, m) whose first row weights the errors.
 
-        The weights are used for null-space motion. The other rows are not used, as the solver's iteration handles slack itself.
+        kinds: a target kind per tip. The weights are only for null-space motion. The other rows are neutral, as the solver's
+        iteration handles slack itself.
         """
         counts = np.ones((4, 6 * len(kinds)))
         counts[1:3] = 0.0
@@ -157,7 +161,7 @@ class RuleSteps:
 def bind(
     robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any], known: Iterable[str]
 ) -> Published | RuleSteps:
-    """Return the adapter that drives a robot by a method.
+    """Return the object that drives a robot by a tracking method (`Published`) or by a solver's iteration (`RuleSteps`).
 
     Args:
         robot: The robot.

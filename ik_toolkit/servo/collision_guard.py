@@ -12,7 +12,7 @@ import numpy as np
 
 from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
-from .viability import LIMIT, bending
+from .viability import LIMIT, bending, stopping
 
 ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
@@ -33,8 +33,8 @@ class GuardThresholds(NamedTuple):
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
     looks: int = 12
-    # If a step is refused, points between the state after braking for the same time and the state after that step are tried, at
-    # these fractions of the way.
+    # If a step is refused, steps between braking and the refused one are tried, at these fractions of the way from the first to the
+    # second.
     parts: tuple[float, ...] = (1 / 2, 1 / 8, 1 / 64)
 
 
@@ -44,9 +44,9 @@ GUARD = GuardThresholds()
 class Path(NamedTuple):
     """A step and the braking to rest after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
-    The first piece lasts h [s]. even [1/s]: share of their initial rates that the joints lose per second while they brake
-    together; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of the
-    others; aside (n,): the distance that such a joint needs for braking, 0 for other joints.
+    The first piece lasts h [s]. Joints brake together: even [1/s] is the share of their initial rates that they lose per second,
+    and the last row of `rate` holds these initial rates. alone (n,): whether a joint brakes by itself instead, because its position
+    limit is near; aside (n,): the distance that such a joint needs for braking, 0 for other joints.
     """
 
     q: np.ndarray
@@ -56,19 +56,6 @@ class Path(NamedTuple):
     even: float
     alone: np.ndarray
     aside: np.ndarray
-
-
-def stopping_distances(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
-    """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
-
-    a: deceleration; late [s]: longest step; gamma: weight of the new rate in a step. This is `viability.stopping` for arrays.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way = np.asarray(v * v / (2.0 * a))
-        if gamma == 1.0:
-            return np.where(v == 0.0, 0.0, way)
-        short = v <= 0.5 * a * late
-        return np.where(short, 0.5 * v * late, way + 0.125 * a * late * late) + max(0.5 - gamma, 0.0) * v * late
 
 
 class Guard:
@@ -135,7 +122,7 @@ class Guard:
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Measure all distances at q (n,) [rad or m]; return the names of a pair of bodies in contact there, or None."""
-        if self._version != self.model.version:  # a shape of the collision model was added, moved or removed
+        if self._version != self.model.version:  # A shape of the collision model was added, moved or removed.
             self._bind()
         self._space.forget()
         self._space.place(q)
@@ -144,16 +131,17 @@ class Guard:
         # (P,) whether the distance of each pair was measured at q; if not, only a bound is known
         self._fresh = np.ones(len(self._low), dtype=bool)
         self._known = False  # whether the joint Jacobians of all bodies at q are known
-        # (P,) bounds [m] on how much closer each pair can come during a step, and the braking after it, like the last ones
+        # (P,) [m] how much closer each pair can come, at most, during the last step taken and the braking after it
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # ratio of the present rates in the proven braking to the rates with which it began
+        # ratio of the joint rates at present to those at the beginning of the braking that was proven free
+        self._left = 1.0
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
     # ------------------------------------------------------------------------------------------------ rows
     def rows(self, q: np.ndarray, rate: np.ndarray, h: float) -> int:
-        """Write r inequalities A x <= b on the next joint rates x [rad/s or m/s] to self.A (r, n) and self.b (r,); return r.
+        """Write r inequalities A x <= b on the next joint rates x [rad/s or m/s] to A (r, n) and b (r,) of this object; return r.
 
         Each inequality limits how fast a pair of bodies comes closer, so that the arm can still brake. q, rate (n,): present joint
         values and rates; h [s]: length of the step.
@@ -169,7 +157,7 @@ class Guard:
         space.place(q)
         space.move()
         self._known = True
-        # Known distances are not enough here: measuring them again also finds the nearest points.
+        # Distances that are known are measured again, because an inequality also needs the nearest points.
         self._fresh[ks] = False
         self._measure(ks)
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
@@ -198,15 +186,15 @@ class Guard:
     def allows(self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float) -> bool:
         """Return whether the step from (q, rate) to (q1, rate1) in h [s] and the braking to rest after it are proven free.
 
-        q must be where the last step ended. A step that is allowed counts as taken. Otherwise `blocked` names the pair
-        at fault.
+        Joint values and rates (n,) are in rad or m. q must be where the last step ended. A step that is allowed counts as taken.
+        If it is not, `blocked` names the pair of bodies that may touch.
         """
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
     def instead(
         self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint values and rates (n,) after h [s] of what replaces a refused step from (q, rate) to (q1, rate1).
+        """Return joint values and rates (n,) after a step of h [s] that replaces the refused step from (q, rate) to (q1, rate1).
 
         The arm brakes, but only as hard as it has to: it takes the largest part of the step that is proven free. Limits that both
         the step and the braking keep are also kept by every motion between these two.
@@ -249,7 +237,7 @@ class Guard:
 
     @property
     def most(self) -> np.ndarray:
-        """Largest change (n,) of joint rates per second that keeps the acceleration limits within a step."""
+        """Largest change (n,) of joint rates per second [rad/s^2 or m/s^2] that keeps acceleration limits throughout a step."""
         return self.limits[LIMIT.acceleration] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
@@ -279,7 +267,7 @@ class Guard:
                 space.place(Q[0])
                 self._measure(doubtful)
             self.blocked = self._prove(path, doubtful, levers)
-            # The proof has moved the bodies of the model to other configurations, so the measurements at q are no longer valid.
+            # The proof has placed the bodies of the model elsewhere, so their Jacobians and nearest points at q are lost.
             self._known = False
             self._fresh[:] = False
             if not (self.blocked is None or anyway):
@@ -307,13 +295,14 @@ class Guard:
             if even <= 0.0:
                 return None
             room = np.where(rate > 0.0, upper - q, q - lower)
-            time = stopping_distances(1.0, self.gamma, even, late)
-            alone = (speed > 0.0) & (speed * time > room)
-            aside = np.where(alone, stopping_distances(speed, self.gamma, most, late), 0.0)
-            move = np.where(alone, 0.0, rate * time)
+        time = stopping(1.0, self.gamma, even, late)
+        alone, aside = (speed > 0.0) & (speed * time > room), np.zeros(len(q))
+        for i in np.flatnonzero(alone):
+            aside[i] = stopping(speed[i], self.gamma, most[i], late)
+        move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move
-        # The last piece gets a constant rate, whatever gamma is.
+        # The last piece, the braking, is stored as if the joints moved at a constant rate.
         rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate
         length[-1] = np.abs(move)
         if len(Q) > 1:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ..compile.jit import INLINE, inline, inner
+from ..compile.jit import INLINE, inline
 from ..kernel.limits import LIMIT
 from ..kernel.null_space import is_wide
 from ..kernel.records import copy
@@ -35,7 +35,7 @@ from .singular_directions import judge_modes, remember, straight_along_axis
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
 from .workspace import START, STATE
 
-# Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
+# Largest share s of the null-space velocity that method ca (classical, acceleration level) removes in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
 # Method cv (velocity level) has the same polynomial in s = kappa h (Patko and Zelei, 2019).
 SHARE = 2.0 / 3.0
@@ -48,7 +48,7 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """Values that change from step to step: the number of inequality constraints, and the length h of the step [s]."""
+    """What differs from step to step besides the arrays: the number of inequality constraints, and the step's length h [s]."""
 
     rows: int
     h: float
@@ -62,13 +62,13 @@ class Published(NamedTuple):
 
 @inline
 def target_of(s):
-    """Return the target's error and motion, views of the scratch arrays s of a step."""
+    """Return the target's error and motion as a `TargetMotion`, whose arrays are those of s, the scratch arrays of a step."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Return the Jacobian and the factor for its pseudo-inverse, views of the scratch arrays s of a step."""
+    """Return the Jacobian and the factor for its pseudo-inverse as a `PseudoInverse`, whose arrays are those of s (`Bench`)."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
@@ -78,6 +78,7 @@ def desired_null_velocity(law, s, limits, wish, base):
 
     It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the
     null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
+    law: `Law`; s: `Bench`; limits (4, n), wish (3, n): as in `Settings`.
     """
     n, m = s.J.shape
     if law.mode == MODE.clip:
@@ -97,16 +98,11 @@ def desired_null_velocity(law, s, limits, wish, base):
 
 
 @inline
-def skip_shift(law, rule, s, limits, wish, rate, h):
-    """Return False, as no joint is shifted: published laws add secondary motion later. (Solver rules: `shift_by_secondary`.)"""
-    return False
+def shift_by_secondary(law, s, limits, wish, rate, h):
+    """Shift s.at (n,), where error and Jacobian are evaluated, by one step of secondary motion in the null space.
 
-
-@inline
-def shift_by_secondary(law, rule, s, limits, wish, rate, h):
-    """Shift s.at (n,) by the secondary motion of one step, so that the solver's iteration cancels its effect on the tip.
-
-    Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
+    The solver's iteration then also corrects what that motion does to the tip. Returns whether there was a secondary motion; s.g
+    (n,) receives its rate, or zeros.
     """
     if law.mode != MODE.clip:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
@@ -119,11 +115,12 @@ def shift_by_secondary(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_secondary_motion(law, s, given, ratio, h, memory):
-    """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command, which they extrapolate.
+    """Add the secondary motion in the null space to the commanded rates s.x (n,) of a published law.
 
-    If the secondary motion were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
-    (methods ca, aa, aad) the present null-space velocity converges to the desired velocity, at a rate that fades to 0 with the
-    desired speed. ratio: this step's h over that of the last step.
+    Methods cv and ca extrapolate from their previous command, `memory` (n,). It receives the motion, too, because the tip would
+    leave its path if only part of the command were extrapolated. At acceleration level (methods ca, aa, aad) the present null-space
+    velocity converges to the desired velocity, at a rate that fades to 0 with the desired speed. given: `Settings`; h [s]: this
+    step; ratio: h over the length of the last step.
     """
     if desired_null_velocity(law, s, given.limits, given.wish, s.x):
         n, kept, share = s.g.shape[0], 0.0, 1.0
@@ -142,10 +139,10 @@ def add_secondary_motion(law, s, given, ratio, h, memory):
 
 @inline
 def feed_back(law, s, limits, now, heavy, beyond):
-    """Shrink the error that is fed back (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
+    """Shrink the error to be corrected (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
 
-    heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether joint limits or
-    inequality constraints block the way that the error asks for.
+    limits (4, n): as in `Settings`; now: `Moment`; heavy: largest weight of an error; beyond: whether the target is out of reach.
+    Returns whether joint limits or inequality constraints block the way that the error asks for.
     """
     n, m = s.J.shape
     if beyond:
@@ -170,9 +167,10 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def bend_as_allowed(law, s, rate, blocked):
-    """Shorten the joint rates s.x2 (and s.x1), for which dJ/dt is taken, to what limits allow; to 0 if they block the joints.
+    """Shorten the rates expected for this step, with which dJ/dt is evaluated (s.x2, and s.x1 for reading 3), to what limits allow.
 
     For rates that the joints cannot reach, the terms with dJ/dt are large and wrong: two hands lost their grip by up to 20 mm.
+    rate (n,): present joint rates; blocked: whether limits block the correction of the error; s.x2 then becomes 0.
     """
     share = 1.0
     for i in range(rate.shape[0]):
@@ -190,8 +188,9 @@ def bend_as_allowed(law, s, rate, blocked):
 def by_law(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates that a published tracking method commands.
 
-    Returns the number of singular directions removed from the task, or the squared damping of the pseudo-inverse in
-    mode clip.
+    law: `Law`; task, look: the compiled problem and its evaluation at s.at; s: `Bench`; given: `Settings`; own: `Carried`; now:
+    `Moment`. Returns the number of singular directions removed from the task, or in mode clip the squared damping of the
+    pseudo-inverse.
     """
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
@@ -212,7 +211,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        # When an error with slack leaves the task, its axis must be a direction of its own.
+        # `by_modes` needs the axis of an error that its slack takes out of the task as a task direction of its own. The directions
+        # of the last singular pose may mix axes, so the decomposition does not begin from them.
         if any_of(given.counts[1]):
             clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
@@ -238,7 +238,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != MODE.clip:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
+        # Method cv extrapolates from the command in own.memory, so that one, too, gets the rates along the directions removed.
         if law.code == LAW.cv:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_secondary_motion(law, s, given, ratio, h, own.memory)
@@ -249,7 +249,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 def by_rule(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates of one solver iteration: its step towards the target's next pose, divided by h.
 
-    Returns 0, because no directions are removed from the task.
+    rule: the solver's iteration; weights (n,): joint weights; other arguments are those of `by_law`. Returns 0, because no
+    directions are removed from the task.
     """
     d = task.desk
     if any_of(s.g) or not task.plain():  # Otherwise the Jacobian computed at the start of the step is still valid.
@@ -265,15 +266,11 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     return 0.0
 
 
-@inner
-def copy_rows(source, target):
-    """Copy a matrix: target[:] = source."""
-    for i in range(source.shape[0]):
-        copy(source[i], target[i])
-
-
 def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Write the commanded joint rates to s.x, by `by_law` or `by_rule`; numba compiles the overload below instead."""
+    """Write the commanded joint rates to s.x (n,), by `by_law` (published laws) or `by_rule` (solvers).
+
+    This version runs without numba, which compiles the overload below instead.
+    """
     how = by_law if isinstance(rule, Published) else by_rule
     return how(law, rule, task, look, weights, s, given, own, now)
 
@@ -287,12 +284,16 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def shift_joints(law, rule, s, limits, wish, rate, h):
-    """Shift joint values for the command, by `skip_shift` or `shift_by_secondary`; numba compiles the overload below instead."""
-    how = skip_shift if isinstance(rule, Published) else shift_by_secondary
-    return how(law, rule, s, limits, wish, rate, h)
+    """Return whether joint values were shifted by `shift_by_secondary`; for a published law they are not.
+
+    This version runs without numba, which compiles the overload below instead.
+    """
+    how = (lambda *_: False) if isinstance(rule, Published) else shift_by_secondary
+    return how(law, s, limits, wish, rate, h)
 
 
 @overload(shift_joints, jit_options=INLINE)
 def _lean(law, rule, s, limits, wish, rate, h):
-    how = skip_shift if rule.instance_class is Published else shift_by_secondary
-    return lambda law, rule, s, limits, wish, rate, h: how(law, rule, s, limits, wish, rate, h)
+    if rule.instance_class is Published:  # A published law adds its secondary motion later, in `add_secondary_motion`.
+        return lambda law, rule, s, limits, wish, rate, h: False
+    return lambda law, rule, s, limits, wish, rate, h: shift_by_secondary(law, s, limits, wish, rate, h)

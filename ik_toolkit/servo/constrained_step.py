@@ -30,10 +30,10 @@ class StepModes(NamedTuple):
 
 
 class StepOutcomes(NamedTuple):
-    """Results of `constrain`; from `short` on the task is not done."""
+    """Codes by which `constrain` says what it has found; from the code `short` on the task is done only in part."""
 
     wanted: int = 0  # the desired rates are admissible and do the task; they are taken bit for bit
-    met: int = 1  # the task is done
+    met: int = 1  # the whole task is done
     # Not all of the task can be done. What remains then damps the motion (`damp`), since joints would otherwise go to and fro at
     # full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration).
     short: int = 2
@@ -43,11 +43,11 @@ class StepOutcomes(NamedTuple):
 
 
 class StepMargins(NamedTuple):
-    """Numbers without a unit that keep a step away from rounding, overshoot and detours."""
+    """Dimensionless constants of the optimisation of a step: two margins for rounding, a factor on damping, and a weight."""
 
     # inequalities are loosened by this more than needed, so that a solution exists despite rounding
     loose: float = 1e-9
-    # factor on the bound of the curvature that the linear model neglects, because full steps zigzag; set by hand
+    # factor on the damping for the curvature that the linear model neglects; without it steps would zigzag; set by hand
     bend: float = 1.5
     # weight of an error across the direction asked for, if nothing is blocked; falling behind along it has weight 1; set by hand
     straight: float = 100.0
@@ -70,14 +70,14 @@ class TaskRate(NamedTuple):
     want: Array  # (n,) desired joint rates
     aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
-    mode: int  # MODE.leave or MODE.direct
+    mode: int  # what gives way to limits: MODE.leave or MODE.direct
     h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
     mu: float  # damping of the task from the first attempt on; 0: the task is damped only if it is not met
 
 
 @compiled
 class Allowed(NamedTuple):
-    """The admissible joint rates x (n,): floor <= x <= roof, and planes x <= edges in the first `rows` rows."""
+    """The admissible joint rates x (n,): floor <= x <= roof, and planes x <= edges for the first `rows` of the inequalities."""
 
     floor: Array
     roof: Array
@@ -138,8 +138,8 @@ def fitting(asked, allowed):
 def lay_out(room, asked, allowed, loose, fastest):
     """Write the quadratic program to the memory `room`, and return it, without task rows that no joint can change.
 
-    The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. loose: amount by which
-    inequalities are loosened.
+    The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. asked: `TaskRate`; allowed:
+    `Allowed`; loose: amount by which inequalities are loosened.
     """
     J, unit, P, count, n = asked.J, room.scaling, room.P, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -169,7 +169,7 @@ def lay_out(room, asked, allowed, loose, fastest):
 
 @inline
 def share_allowed(asked, allowed):
-    """Return the share (0 to 1) of the desired rates that bounds and constraints allow.
+    """Return the largest factor (0 to 1) by which all desired rates asked.want can be multiplied inside bounds and constraints.
 
     If rates exceed the joints' speeds, all rates are first scaled down by one factor until none does.
     """
@@ -192,9 +192,10 @@ def share_allowed(asked, allowed):
 def keep_straight(p, share):
     """Weight the task error across the direction asked for, so that the tip falls behind rather than leaves its path.
 
-    The weight is CAUTION.straight if nothing is blocked, 1 if no motion along the direction is possible, and linear between.
-    Without this weight the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With
-    acceleration limits the weight is lower, as they block most of the motion asked for while joints start and brake.
+    p: `TwoLevels`, changed in place; share: as returned by `share_allowed`. The weight is CAUTION.straight if nothing is blocked, 1
+    if no motion along the direction is possible, and linear between. Without this weight the tip leaves a line that is too fast for
+    the joints (tests/servo/test_motion_limits.py). With acceleration limits the weight is lower, as they block most of the motion
+    asked for while joints start and brake.
     """
     asked, first, end = 0.0, p.planes, p.planes + p.task
     for k in range(first, end):
@@ -211,10 +212,11 @@ def keep_straight(p, share):
 
 @inline
 def damp(p, aside, mu):
-    """Extend the problem to min |C y - d|^2 + mu |y - aside|^2 (Levenberg-Marquardt), and return it.
+    """Replace the task C y = d of the problem p by min |C y - d|^2 + mu |y - aside|^2 (Levenberg-Marquardt); return the problem.
 
-    The residual of each task row becomes an unknown, scaled by 1 / sqrt(mu). The task can then always be met, and both
-    terms are part of the second objective.
+    y: joint rates in the problem's unit; aside (n,): joint rates towards which the damping draws them. The residual of each task
+    row becomes an unknown, scaled by 1 / sqrt(mu). The task can then always be met, and both terms are part of the second
+    objective.
     """
     n, unit = p.size, math.sqrt(mu)
     for i in range(n):
@@ -229,9 +231,9 @@ def damp(p, aside, mu):
 
 @inner
 def least_slack(p):
-    """Return the least amount by which inequalities must be loosened for a solution inside the bounds, plus a margin.
+    """Return the least amount by which the inequalities of p (`TwoLevels`) must be loosened to be solvable, plus a margin.
 
-    This amount becomes unknown number n, and minimising it is the only task.
+    The bounds stay as they are. This amount becomes unknown number n, and minimising it is the only task.
     """
     n = p.size
     for i in range(n):
@@ -249,7 +251,7 @@ def least_slack(p):
 
 @inline
 def as_wanted(asked, taken):
-    """Write the desired rates to `taken` (StepTaken), bit for bit, with no constraint active."""
+    """Copy the desired rates asked.want unchanged to `taken` (StepTaken), and note there that no constraint is active."""
     copy(asked.want, taken.x)
     for i in range(taken.x.shape[0]):
         taken.active[i] = 0
@@ -259,7 +261,10 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Warm-start the solver: copy the active set of the last step from `taken` to `room`."""
+    """Let the solver start from the constraints that were active in the last step: copy them from `taken` to `room`.
+
+    rows: number of inequalities now.
+    """
     for k in range(rows):
         room.active[k] = taken.kept[k]
     for i in range(taken.active.shape[0]):
@@ -268,7 +273,7 @@ def recall(room, rows, taken):
 
 @inline
 def answer(p, allowed, taken):
-    """Write the joint rates found and the active set to `taken` (StepTaken), in the caller's units."""
+    """Write the solution of p (`TwoLevels`) to `taken` (StepTaken): the joint rates in the caller's unit, and the active set."""
     for i in range(taken.x.shape[0]):
         side = p.active[p.planes + i]
         taken.active[i] = side
@@ -284,7 +289,7 @@ def answer(p, allowed, taken):
 
 @inline
 def least_damping(p):
-    """Return a damping so small that it only keeps the problem from being almost singular."""
+    """Return a damping mu so small that it changes the solution of p (`TwoLevels`) only where the task is almost singular."""
     longest = 0.0
     for k in range(p.planes, p.planes + p.task):
         longest = max(longest, p.length[k])
@@ -305,7 +310,7 @@ def damping(p, asked):
         size = 0.0
         for i in range(asked.size.shape[0]):
             size += (asked.weight[c] * asked.J[i, c] * asked.size[i]) ** 2
-        if size > 0.0:  # `lay_out` leaves out the others.
+        if size > 0.0:  # `lay_out` has left out the rows that no joint can change.
             miss += (asked.heavy[c] * (dot(p.P[k], p.y, n) - p.rhs[k])) ** 2
             k += 1
     for i in range(asked.size.shape[0]):
@@ -317,7 +322,8 @@ def damping(p, asked):
 def constrain(asked, allowed, room, taken):
     """Find the joint rates that do the task as well as possible and, among those, are nearest to the desired ones.
 
-    Returns a number of `StepOutcomes`.
+    asked: `TaskRate`; allowed: `Allowed`; room: memory for a `TwoLevels` problem; taken: `StepTaken`, which holds the active set of
+    the last step and receives the result. Returns a number of `StepOutcomes`.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)

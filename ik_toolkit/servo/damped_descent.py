@@ -53,8 +53,8 @@ class DampedDescent(NamedTuple):
     turned: float = 8.0  # factor by which `share` is raised when joints turn back
     raised: float = 2.0  # factor by which `share` is raised when the error does not fall
     lowered: float = 0.9  # factor by which `share` is lowered while the error falls
-    # After joints have turned back, the share must not fall below this fraction of its raised value for a while: floor * turned = 2
-    # times the share with which they turned back.
+    # After joints have turned back and `share` was raised, it must not fall below this fraction of the raised value for a while.
+    # That is floor * turned = 2 times the value with which they turned back.
     floor: float = 0.25
     fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
     brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
@@ -65,7 +65,7 @@ DESCENT = DampedDescent()
 
 @inner
 def feedback(law, h):
-    """Return the feedback gain [1/s] of a damped least-squares step, which is at most the method's own."""
+    """Return the feedback gain [1/s] of a damped least-squares step of h [s], which is at most that of the method law (`Law`)."""
     return min(natural(law, h), WEAK.gain / h)
 
 
@@ -73,10 +73,10 @@ def feedback(law, h):
 def stuck(law, s, limits, share, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
-    share (m,): weight of each error's level relative to level 0; square: squared weighted error now; `state` is updated. The target
-    stands still if neither its twist s.f (m,) nor the difference between the errors now (s.e) and at the next sample (s.ahead) is
-    noticeable; the twist alone is not enough, because a caller may give a zero twist for a target that moves. In mode clip, which
-    keeps to the published laws, the result is always False.
+    s: `Bench`; h [s]: the step; share (m,): weight of each error's level relative to level 0; square: squared weighted error now;
+    `state` is updated. The target stands still if neither its twist s.f (m,) nor the difference between the errors now (s.e) and at
+    the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may give a zero twist for a target that
+    moves. In mode clip, which keeps to the published laws, the result is always False.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
@@ -96,7 +96,10 @@ def stuck(law, s, limits, share, square, h, state):
 
 @inline
 def little(share, s):
-    """Return whether the error s.e is small, each of its numbers weighted as if its level were the first."""
+    """Return whether the error s.e (m,) is below DESCENT.small, weighted as if all its components had the first priority level.
+
+    share (m,): weight of each component's level relative to the first one.
+    """
     total = 0.0
     for k in range(share.shape[0]):
         total += (s.weight[k] / min(share[k], 1.0) * s.e[k]) ** 2
@@ -105,7 +108,10 @@ def little(share, s):
 
 @inner
 def fastest(s, limits, error):
-    """Return how much the weighted error would fall per second if all joints that are not at limits moved at full speed."""
+    """Return how much the weighted error would fall per second if all joints that are not at limits moved at full speed.
+
+    s: `Bench`; limits (4, n): as in `Settings`; error: norm of the weighted error now.
+    """
     total = 0.0
     for i in range(s.J.shape[0]):
         slope = 0.0
@@ -145,9 +151,10 @@ def notice(law, before, x, size, swings, code, square, h, state):
 
 @inner
 def adapt(turned, error, h, state):
-    """Adapt the share, the factor in the damping mu, after a step of a damped descent; turned: whether joints turned back.
+    """Adapt state[STATE.share], the factor in the damping mu, after a step of h [s] of a damped descent.
 
-    It is raised if joints turned back or the weighted error has not fallen for DESCENT.stalled [s], and lowered while it falls.
+    The factor is raised if joints turned back (turned) or the weighted `error` has not fallen for DESCENT.stalled [s], and lowered
+    while the error falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h
@@ -167,7 +174,10 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
+    """Write the task of a damped least-squares step, with desired rates of 0, to s (`Bench`); return its damping mu.
+
+    law: `Law`; limits (4, n): as in `Settings`; h [s]: the step; state: see `workspace.State`.
+    """
     n, m = s.J.shape
     gain, limited, bent = feedback(law, h), False, 0.0
     weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
@@ -190,7 +200,8 @@ def descend(law, s, limits, h, state):
 def stop_in_time(s, limits, mu, h):
     """Narrow the rate bounds so that each joint can stop at the end of the move that a damped step without bounds would make.
 
-    Joints at limits that would have to go beyond them are left out of this damped step.
+    Joints at a limit that would have to move beyond it do not take part in that move. s: `Bench`; limits (4, n): as in `Settings`;
+    mu: damping; h [s]: the step.
     """
     n, m = s.J.shape
     for i in range(n):

@@ -15,7 +15,7 @@ from ..validate import one_of, positive
 from .path_reach import References, freed
 from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
-DURATION = 10.0  # [s] default time for a path
+DURATION = 10.0  # [s] default time in which a path is run through
 
 
 def eight(
@@ -91,7 +91,7 @@ def joint_motion(
     dt: float = 0.01,
     position_tolerance: float = POSITION_TOLERANCE,
 ) -> References:
-    """Make references of the tips that every robot can follow: all joints move a little from q0 and back.
+    """Make a reference that every robot can follow: the motion of its tips while all joints move a little from q0 and back.
 
     Every joint moves towards its farther limit; every second joint does so twice.
 
@@ -144,7 +144,7 @@ def _tip_at(arm: Any, q0: np.ndarray, swing: np.ndarray, pace: np.ndarray, t: np
 def paths(
     robot: Any, q: Any, kind: str, size: float, axis: Any, free: bool, relative: Mapping[str, str], **rest: Any
 ) -> References:
-    """Make the references of `draw` from where the tips are at q (n,): one, or for a Tree a dict by tip.
+    """Make a circle, line or figure of eight for each tip, from where it is at q (n,): one reference, or for a Tree a dict.
 
     Args:
         robot: The robot.
@@ -161,10 +161,6 @@ def paths(
     for tip in robot.tips:
         held = tip in relative and relative[tip] in T
         at = T[relative[tip]].actInv(T[tip]) if held else T[tip]
-        made[tip] = _drawn(at.homogeneous, "line" if held else kind, 0.0 if held else size, axis, free, rest)
+        start = at.translation.copy() if free else at.homogeneous
+        made[tip] = draw("line" if held else kind, start, 0.0 if held else size, axis, **rest)
     return robot.for_tips(made)
-
-
-def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:
-    """Make the reference of `draw` from a pose at (4, 4), or from its position only if `free`."""
-    return draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest)

@@ -25,7 +25,7 @@ ROUNDING = 1e-13  # A sum below this share of the sum of its terms' magnitudes i
 
 @compiled
 class Pair(NamedTuple):
-    """Numbers with an infinite and a finite part, first / eps + second in the limit eps -> 0: one part for each objective."""
+    """Multipliers with a part for each objective: first / eps + second in the limit eps -> 0, so that `first` always outweighs."""
 
     first: Array
     second: Array
@@ -61,7 +61,7 @@ class TwoLevels(NamedTuple):
     want: Array  # (N,) values desired by the second objective
     floor: Array  # (N,) lower bounds
     roof: Array  # (N,) upper bounds
-    scaling: Array  # (N,) the joint rate that an unknown of 1 represents, see constrained_step.py
+    scaling: Array  # (N,) the joint rate that a value of 1 of each unknown stands for
     P: Array  # (K, N) coefficients: the inequalities, each of norm 1, then the task
     rhs: Array  # (K,) right-hand sides
     length: Array  # (K,) norms of the rows of P
@@ -103,19 +103,19 @@ def resized(p, size, planes, task):
 
 @inline
 def is_free(p, i):
-    """Return whether unknown i is held at neither of its bounds."""
+    """Return whether unknown i of the program p (`TwoLevels`) is held at neither of its bounds."""
     return p.active[p.planes + i] == 0
 
 
 @inline
 def slot(p, k):
-    """Return the index of row k among the multipliers, where the bounds are stored between inequalities and task."""
+    """Return the index of row k of p.P in the arrays of multipliers, which are in the order inequalities, bounds, task rows."""
     return k if k < p.planes else k + p.size
 
 
 @inline
 def remove(b, row, j, n):
-    """Subtract from a row of W (first n entries) its component along basis vector j, and add this component to L."""
+    """Gram-Schmidt step on b (`Basis`): subtract from a row of b.W, n entries, its part along basis vector j; note it in b.L."""
     base = b.W[b.order[j]]
     s = dot(b.W[row], base, n)
     add_multiple(b.W[row], -s, base, n)
@@ -124,7 +124,7 @@ def remove(b, row, j, n):
 
 @inline
 def take_in(b, row, q, size, n):
-    """Normalise row `row` of W (length `size`); it becomes basis vector q."""
+    """Make row `row` of b.W, n entries of the norm `size`, basis vector q of b (`Basis`) by dividing it by its norm."""
     b.L[row, q] = size
     for i in range(n):
         b.W[row, i] /= size
@@ -135,8 +135,8 @@ def take_in(b, row, q, size, n):
 def row_basis(p, last):
     """Build an orthonormal basis of the active rows in the free unknowns: first of the inequalities, then of the task rows.
 
-    last: inequality that is added after all others, or NONE. Returns the number of basis vectors from inequalities, the number of
-    all basis vectors, and an active inequality that depends linearly on the others, or NONE.
+    p: `TwoLevels`; last: inequality that is added after all others, or NONE. Returns the number of basis vectors from inequalities,
+    the number of all basis vectors, and an active inequality that depends linearly on the others, or NONE.
     """
     b = p.b
     n, K = p.size, p.planes + p.task
@@ -191,10 +191,11 @@ def row_basis(p, last):
 
 @inline
 def back(p, first, end, out, sign, lower):
-    """Solve L' out = -sign off for the multipliers of the rows from which basis vectors first to end - 1 were made.
+    """Compute the multipliers of the rows from which basis vectors number first to end - 1 were made, by back-substitution.
 
-    out (K + N,): receives them. sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower:
-    whether `out` already holds the multipliers of the task rows; their contribution is then subtracted.
+    L and off are those of p.b (`Basis`). The system is L' out = -sign off; out (K + N,) receives the multipliers. sign: 1 for the
+    second objective, 0 for the first, whose right side is zero. lower: whether `out` already holds the multipliers of the task
+    rows; their contribution is then subtracted.
     """
     b = p.b
     for j in range(end - 1, first - 1, -1):
@@ -210,10 +211,10 @@ def back(p, first, end, out, sign, lower):
 
 @inline
 def equality(p, last):
-    """Solve both objectives for y with all active constraints as equalities; write y and the new multipliers.
+    """Solve both objectives for y with all active constraints as equalities; write p.y and the new multipliers p.new.
 
-    Returns NONE, or, without solving anything, an active inequality that depends linearly on the others (`last` if it does). The
-    inequality `last` is added to the basis after all other inequalities.
+    p: `TwoLevels`. Returns NONE, or, without solving anything, an active inequality that depends linearly on the others (`last` if
+    it does). The inequality `last` is added to the basis after all other inequalities.
     """
     b = p.b
     n, K = p.size, p.planes + p.task
@@ -255,7 +256,7 @@ def equality(p, last):
 
 @inline
 def price_bounds(p, noise):
-    """Compute the multipliers of the active bounds; multipliers of the first objective up to `noise` in size become 0."""
+    """Compute the multipliers of the active bounds of p (`TwoLevels`); parts `first` of multipliers up to `noise` become 0."""
     first, second = p.new.first[p.planes :], p.new.second[p.planes :]
     for i in range(p.size):
         first[i], second[i] = 0.0, p.want[i] - p.y[i]
@@ -316,9 +317,12 @@ def least_squares(p, planes, rank):
 
 @inline
 def closeness_of_task(p, planes, rank):
-    """Write multipliers of the second objective for linearly dependent task rows; of all solutions, that of least norm."""
+    """Write the multipliers of linearly dependent task rows for the second objective to p.new: of all solutions the shortest.
+
+    planes: number of basis vectors from inequalities; rank: number of basis vectors from task rows.
+    """
     b, K = p.b, p.planes + p.task
-    for j in range(rank):  # Forward substitution: transpose(U's coefficients) times along equals -off.
+    for j in range(rank):  # forward substitution with the triangular factor R in b.U: R' along = -off
         s = -b.off[planes + j]
         for h in range(j):
             s -= b.U[K + h, j] * b.along[h]

@@ -40,7 +40,10 @@ def wrong(one, two, side):
 
 @inline
 def violated(p):
-    """Return the number of the most violated inactive constraint, or NONE, and its side: -1 lower, 1 upper."""
+    """Return the index of the inactive constraint that p.y violates most, or NONE, and which bound: -1 the lower, 1 the upper.
+
+    p: `TwoLevels`; an inequality counts as an upper bound.
+    """
     n = p.size
     # The rounding error of one large unknown spreads to the others, so the tolerance grows with the largest one.
     top = 1.0
@@ -63,14 +66,14 @@ def violated(p):
 
 @inline
 def may_leave(p, c):
-    """Return whether constraint c is active and may be dropped: an unknown whose two bounds are equal stays held."""
+    """Return whether constraint c of p (`TwoLevels`) is active and may be dropped; a bound that equals the other one may not."""
     i = c - p.planes
     return p.active[c] != 0 and (i < 0 or p.floor[i] < p.roof[i])
 
 
 @inline
 def wrong_most(p):
-    """Return the number of the active constraint whose multiplier is furthest on the wrong side of zero (`wrong`), or NONE."""
+    """Return the index of the active constraint whose multiplier in p.new is most on the wrong side of zero, or NONE."""
     worst, which = 0.0, NONE
     for c in range(p.planes + p.size):
         if may_leave(p, c):
@@ -82,7 +85,7 @@ def wrong_most(p):
 
 @inline
 def unmet(p):
-    """Return whether the last solution misses the task: its residual is above SAME_TASK times the task's right side."""
+    """Return whether the last solution of p (`TwoLevels`) misses the task by more than SAME_TASK times the right side's norm."""
     miss, size = 0.0, 0.0
     for c in range(p.task):
         miss += p.new.first[p.planes + p.size + c] ** 2
@@ -92,9 +95,9 @@ def unmet(p):
 
 @inline
 def begin(p, cold):
-    """Compute the row norms and set the initial active set: the present one, or an empty one if `cold`.
+    """Compute the norms of the rows of p (`TwoLevels`), and empty the active set if `cold`.
 
-    Unknowns with equal bounds are always held.
+    Unknowns whose two bounds are equal are always held at them.
     """
     for k in range(p.planes + p.task):
         p.length[k] = math.sqrt(dot(p.P[k], p.P[k], p.size))
@@ -144,9 +147,10 @@ def solve_levels(p):
 
 @inline
 def share(now, new, at, side):
-    """Return the share t + dt eps by which multiplier number `at` can move from now to new before its sign is wrong.
+    """Return how far multiplier number `at` can move from its value in `now` to that in `new` (Pair) before its sign is wrong.
 
-    The result is the pair (t, dt); t = 2 means that it can move all the way. side: the right sign of the multiplier.
+    The result is the pair (t, dt) for the share t + dt eps of the way, eps infinitesimal; t = 2 if it can move all the way. side:
+    the right sign of the multiplier.
     """
     one, two, next_one, next_two = now.first[at], now.second[at], new.first[at], new.second[at]
     if wrong(next_one, next_two, side) == 0.0:
@@ -159,7 +163,7 @@ def share(now, new, at, side):
 
 @inline
 def move_on(p, newest):
-    """Move all multipliers towards the new ones, until the multiplier of a constraint other than `newest` becomes zero.
+    """Move all multipliers p.now towards p.new, until the multiplier of a constraint other than `newest` becomes zero.
 
     Returns the number of this constraint, or NONE if no multiplier becomes zero on the way; then nothing is moved.
     """
@@ -178,9 +182,9 @@ def move_on(p, newest):
 
 @inline
 def parts(p, dependent):
-    """Write an inequality that depends linearly on the active constraints as a linear combination of these.
+    """Write inequality number `dependent` of p (`TwoLevels`) as a linear combination of the active constraints.
 
-    The coefficients are written to new.first; that of the inequality itself is -1.
+    The coefficients are written to p.new.first; that of the inequality itself is -1.
     """
     b, planes = p.b, 0
     for k in range(p.planes):
@@ -210,7 +214,7 @@ def exchange(p, dependent, newest):
     """
     parts(p, dependent)
     own, side = p.new.first[newest], p.active[newest]
-    # The new constraint is not part of the combination, so the inequality seemed independent only through rounding.
+    # If the new constraint is not part of the combination, the inequality depended on the others before, and only rounding hid it.
     if not abs(own) > SAME:
         return dependent
     one, two, blocking = np.inf, np.inf, NONE
@@ -222,7 +226,7 @@ def exchange(p, dependent, newest):
             if a < one or (a == one and b < two):
                 one, two, blocking = a, b, c
     for c in range(p.planes + p.size if blocking != NONE else 0):
-        # The new constraint's own coefficient is -side, so its multiplier grows.
+        # The coefficient of the new constraint is -side here, so its multiplier grows away from zero.
         p.now.first[c] -= one * p.new.first[c]
         p.now.second[c] -= two * p.new.first[c]
     return blocking

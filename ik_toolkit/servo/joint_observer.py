@@ -18,7 +18,7 @@ from ..validate import number
 
 
 class FilterAssumptions(NamedTuple):
-    """Assumptions on measured joint values, which set how fast they correct the estimate."""
+    """Assumptions about measured joint values, from which the filter's bandwidth follows."""
 
     delay: int = 2  # age of measured joints [samples]
     longest: int = 10_000  # largest delay [samples]; one command is kept for each of these samples
@@ -33,7 +33,10 @@ FILTER = FilterAssumptions()
 
 
 def read_measured(robot: Any, q: Any) -> np.ndarray:
-    """Return measured joints (n,) [rad or arm reaches], finite or not. Raises InvalidConfiguration for a wrong size."""
+    """Convert measured joints q of a robot [rad or m] to (n,) [rad or arm reaches]; numbers that are not finite are let through.
+
+    Raises InvalidConfiguration for a wrong size.
+    """
     try:
         found = robot.check_q(q, "q")
     except InvalidConfiguration:
@@ -68,10 +71,10 @@ class JointObserver:
         self.used = False  # whether joints have been measured; from then on the estimate is the command plus the offset
 
     def reset(self, *, jumped: bool = False) -> None:
-        """Forget the commands and the offset; jumped: ignore measurements that still answer to commands from before the jump.
+        """Forget the commands and the offset between commands and joints; jumped: whether the command has just jumped.
 
-        Compared with commands from after the jump, they would cause another jump. For safety the true delay is assumed to be up to
-        twice `delay`.
+        Measurements that still answer to commands from before a jump are then ignored: compared with later commands, they would
+        cause another jump. For safety the true delay is assumed to be up to twice `delay`.
         """
         self.offset[:], self._rate[:] = 0.0, 0.0
         self._sent.clear()
@@ -88,7 +91,7 @@ class JointObserver:
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
     def send(self, command: np.ndarray) -> None:
-        """Keep the present command (n,) [rad or arm reaches]; to be called in every sample, also without a measurement."""
+        """Remember the present command (n,) [rad or arm reaches], to compare a later measurement with it; call it every sample."""
         self._sent.append(command)
         if self._unheard:
             self._unheard -= 1
@@ -104,7 +107,7 @@ class JointObserver:
             return 0.0
         w, apart = self.bandwidth(h), measured - self._sent[0]
         largest = float(np.abs(apart).max())
-        if not largest <= most:  # The comparison is false for NaN.
+        if not largest <= most:  # Written so that NaN counts as too far.
             agree = self.far is not None and np.abs(measured - self.far).max() <= most
             inside = (measured >= limits[LIMIT.lowest] - most) & (measured <= limits[LIMIT.highest] + most)
             self.confirmed = bool(agree and inside.all())

@@ -23,7 +23,7 @@ from .viability import LIMIT, approach
 
 
 class LawCode(NamedTuple):
-    """Codes of the methods; `aa` is also that of method aad."""
+    """Codes of the tracking methods in the compiled loop; aad has that of aa, but another gamma and reading."""
 
     cv: int = 0
     av: int = 1
@@ -48,7 +48,8 @@ class EasingThresholds(NamedTuple):
 
     # The pseudo-inverse is damped where the smallest singular value is below this times `Law.damping`; set by hand.
     region: float = 2.0
-    # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
+    # The damping of a correction that limits block is this times curvature times error; the correction is then no longer than
+    # sqrt(error / curvature).
     curved: float = 0.25
     sluggish: float = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
     touching: float = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
@@ -82,7 +83,7 @@ class Law(NamedTuple):
     omit: float  # share of the error that methods av, aa and aad do not remove in this step
 
 
-PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python passes to the loop
+PLACE = Law._make(range(len(Law._fields)))  # index of each field of `Law` in the array that Python passes to the loop
 
 
 @compiled
@@ -98,7 +99,7 @@ class TargetMotion(NamedTuple):
 
 @compiled
 class PseudoInverse(NamedTuple):
-    """A Jacobian, its factor for the pseudo-inverse, and scratch."""
+    """A Jacobian, the factor with which its pseudo-inverse is applied, and scratch."""
 
     J: Array  # (n, m) transposed Jacobian
     G: Array  # (k, k) Cholesky factor written by `factor`; k is the larger of n and m
@@ -130,7 +131,10 @@ class CorrectionLimits(NamedTuple):
 
 @dual
 def gram(J, m, wide, extra, G):
-    """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal; diagonal entries of zero become 1."""
+    """Write to G the lower half of JJ' (if wide) or J'J for the usual Jacobian J, plus `extra` on the diagonal.
+
+    J: the transposed Jacobian (n, m). Diagonal entries of zero become 1.
+    """
     k = m if wide else J.shape[0]
     top = 0.0
     for r in range(k):
@@ -143,7 +147,7 @@ def gram(J, m, wide, extra, G):
 
 @dual
 def invert(G, k, y):
-    """Factor G (k, k) in place and return 1 / trace(inverse), a lower bound of its smallest eigenvalue."""
+    """Replace G (k, k) by its Cholesky factor; return 1 / trace(G^-1), at most G's smallest eigenvalue. y (k,): scratch."""
     cholesky(G, k, TINY)
     trace = 0.0
     for c in range(k):
@@ -158,8 +162,9 @@ def invert(G, k, y):
 
 @dual
 def factor(J, m, damping, G, y):
-    """Factor G for the pseudo-inverse J^+ of `apply`, damped only near singularities; return the damping lambda^2.
+    """Write to G the factor with which `apply` multiplies by the pseudo-inverse J^+; return its damping lambda^2.
 
+    J (n, m): transposed Jacobian; y (n or m,): scratch. The pseudo-inverse is damped only near singularities:
     lambda^2 = damping^2 (1 - s^2 / (region damping)^2) for s below region damping, where s is a lower bound of the smallest
     singular value (Nakamura and Hanafusa, 1986, use the manipulability in place of s). damping = 0 never damps.
     """
@@ -190,9 +195,10 @@ def apply(J, m, G, b, y, out):
 
 @dual
 def prepare(p, inverse, target, rate, h, joints):
-    """Do the first half of a step of h [s], after `factor`: write all of `joints` except the commanded rates `x`.
+    """Do the first half of a step of h [s], after `factor`: write all of `joints` (JointMotion) except the commanded rates `x`.
 
-    rate (n,): present joint rates. The caller then puts (dJ/dt) joints.x2 into target.bias, for dJ/dt at the rates joints.x1.
+    p: `Law`; inverse: `PseudoInverse`; target: `TargetMotion`; rate (n,): present joint rates. The caller then puts (dJ/dt)
+    joints.x2 into target.bias, for dJ/dt at the rates joints.x1.
     """
     J, t = inverse.J, inverse.t
     n, m = J.shape
@@ -219,9 +225,9 @@ def prepare(p, inverse, target, rate, h, joints):
 def command(p, inverse, target, rate, prev, h, ratio, joints):
     """Do the second half of a step: write the joint rates joints.x commanded for the end of the step.
 
-    prev (n,): the previous command, replaced by this one; ratio: this step's h over that of the last step, 0 at the start
-    (Adams-Bashforth then begins with an Euler step). The laws are eqs (11), (16), (21), (25) of Patko and Zelei (2019), with the
-    time steps of (26), (27), (29), (32), (33).
+    Arguments are those of `prepare`, and: prev (n,): the previous command, replaced by this one; ratio: this step's h over that of
+    the last step, 0 at the start (Adams-Bashforth then begins with an Euler step). The laws are eqs (11), (16), (21), (25) of Patko
+    and Zelei (2019), with the time steps of (26), (27), (29), (32), (33).
     """
     J, t, x, null, move = inverse.J, inverse.t, joints.x, joints.null, joints.move
     n, m = J.shape
@@ -255,7 +261,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
 
 @dual
 def natural(p, h):
-    """Return the rate [1/s] at which a method removes an error when nothing limits it; 0 for a method without feedback."""
+    """Return the rate [1/s] at which a method p (`Law`) removes an error in steps of h [s] if nothing limits it; 0: never."""
     if p.code == LAW.cv:
         return p.kappa
     if p.code == LAW.ca:
@@ -267,8 +273,9 @@ def natural(p, h):
 def possible(c, pace, h, q, limits, fast, quick, walls):
     """Return the share (0 to 1) of a correction c (n,) for which the joints can brake in time, and whether a limit blocks it.
 
-    pace [1/s]: the feedback rate; fast, quick: shares of speed and acceleration limits to use; walls: whether joints at
-    their position limits block the correction and do not lower its share, see `ease`.
+    pace [1/s]: rate at which the error is corrected, in steps of h [s]; q (n,): joint values; limits (4, n): as in `Settings`;
+    fast, quick: shares of speed and acceleration limits to use; walls: whether joints at their position limits block the correction
+    and do not lower its share, see `ease`.
     """
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
@@ -292,7 +299,8 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 def spare(J, m, e, limits, H, y, c):
     """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return whether there is one.
 
-    There is none if no joint is slow. The pseudo-inverse is weighted by speed, with powers of 2, so that J is restored exactly.
+    There is none if no joint is slow. The pseudo-inverse of J (transposed, (n, m)) is weighted by the joints' speeds, rounded to
+    powers of 2, so that J is restored exactly. H, y: scratch.
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
@@ -320,7 +328,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
+    """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top (highest speed limit)."""
     w = 1.0
     while 0.0 < speed < EASING.sluggish * top and speed < w * top:
         w *= 0.5
@@ -332,9 +340,11 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     """Shrink the error that is fed back (target.e and ahead, in place) until joints can brake before it is zero.
 
     A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and
-    oscillates for ever. For joints at their position limits the error is not shrunk. If such joints or inequalities block the
-    correction J^+ e, it is computed again with damping from brisk.bend, because the real motion along a nearly singular direction
-    is much shorter. If allowed.rows is -1, neither is checked. c (n,) is scratch. Returns whether the correction is blocked.
+    oscillates for ever. Joints at their position limits do not count in this. If they or inequalities block the correction J^+ e,
+    it is computed again with damping from brisk.bend, because the real motion along a nearly singular direction is much shorter. If
+    allowed.rows is -1, neither is checked. p: `Law`; inverse: `PseudoInverse`; target: `TargetMotion`; h [s]: the step; q (n,):
+    joint values; limits (4, n): as in `Settings`; allowed: `Allowed`; brisk: `CorrectionLimits`; c (n,): scratch. Returns whether
+    the correction is blocked.
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
@@ -361,7 +371,11 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 
 @dual
 def settle(p, h, rate_before, x, code, prev):
-    """Replace the previous command `prev` of clipped joints by the rate, or for ca the acceleration, that they took: no wind-up."""
+    """Replace the previous command prev (n,) of clipped joints by the rate, or for ca the acceleration, that they really took.
+
+    Otherwise the methods cv and ca, which extrapolate their commands, would wind up. p: `Law`; h [s]: the step; rate_before, x
+    (n,): rates before and after it; code (n,): bits of the limits that clipped each joint.
+    """
     if p.code == LAW.cv or p.code == LAW.ca:
         for i in range(x.shape[0]):
             if code[i] > 0:
@@ -370,9 +384,10 @@ def settle(p, h, rate_before, x, code, prev):
 
 @dual
 def rewrite_command(p, h, ratio, wanted, x, prev):
-    """Change `prev` to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
+    """Change prev (n,) to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
 
-    wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0 at the start.
+    p: `Law`; h [s]: the step; wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0
+    at the start.
     """
     ahead = 0.5 * ratio
     if p.code == LAW.cv or p.code == LAW.ca:

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ..compile.array_view import keep, space, view
+from ..compile.array_view import flat, keep, space, view
 from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
 from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.search import step_class
 from ..kernel.vectors import apply_transposed, clear
-from .command import Moment, Published, copy_rows, shift_joints, wanted
+from .command import Moment, Published, shift_joints, wanted
 from .constrained_step import MODE, OUTCOME, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
 from .laws import Law, apply, factor, rewrite_command, settle
@@ -34,7 +34,7 @@ from .workspace import START, STATE, bench_on, bench_space, carried_of, record_o
 
 
 class LoopEnd(NamedTuple):
-    """Codes of why the loop ended."""
+    """Codes that say why the compiled loop of a tracker ended."""
 
     fine: int = 0  # all steps are taken
     not_finite: int = 1  # the command is not finite
@@ -47,7 +47,10 @@ LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above 
 
 @inner
 def initial_rates(law, J, f, G, y, limits, q, rate, state):
-    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited so that the joints can brake."""
+    """Set the joint rates rate (n,) at the start: unless they were given, to J^+ f, limited so that the joints can brake.
+
+    f (m,): twist of the target; J, G, y: as in `laws.factor`; state: see `workspace.State`.
+    """
     if state[STATE.start] == START.with_target:
         factor(J, J.shape[1], law.damping, G, y)
         apply(J, J.shape[1], G, f, y, rate)
@@ -65,7 +68,8 @@ def initial_rates(law, J, f, G, y, limits, q, rate, state):
 def keep_axes(counts, flip):
     """Clear the mirror planes `flip` (F, 3) of tips whose rotation errors have slack or unequal weights.
 
-    Slack and weights belong to fixed axes, which mirroring would turn.
+    Slack and weights belong to fixed axes, and mirroring, which makes the axis of a free rotation the last one, would mix these.
+    counts (4, m): as in `Settings`.
     """
     weight, slack = counts[0], counts[1]
     for f in range(flip.shape[0]):
@@ -77,13 +81,14 @@ def keep_axes(counts, flip):
 
 @inline
 def evaluate_task(task, look, s, V, A, plain, counts, E):
-    """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
+    """Write to s (Bench) the error, the Jacobian, and the target's twist V and acceleration A in the error's axes.
 
-    E is in base axes, reduced by the slack (dead band) of each error.
+    E (m,) receives the error [m, rad] in base axes, reduced by the slack (dead band) of each component. plain: whether no rotation
+    is free and no target is in another tip's frame; counts (4, m): as in `Settings`.
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
-    copy_rows(task.desk.J, s.J)
+    copy(flat(task.desk.J), flat(s.J))
     task.moving(V, s.f)
     task.moving(A, s.a)
     task.base_axes(s.e, E)
@@ -100,7 +105,7 @@ def evaluate_task(task, look, s, V, A, plain, counts, E):
 
 @inner
 def leave_out(J, floor, roof):
-    """Set the rows of J to zero for joints that cannot move (locked ones), to judge singularity without them."""
+    """Set the rows of J (n, m) to zero for joints whose rate bounds are both 0, so that singularity is judged without them."""
     for i in range(floor.shape[0]):
         if floor[i] == 0.0 and roof[i] == 0.0:
             clear(J[i])
@@ -110,7 +115,8 @@ def leave_out(J, floor, roof):
 def limit_oscillation(law, s, rate, swings, h, state):
     """Limit the acceleration of oscillating joints, if limits or a singular pose have hindered joints lately.
 
-    Otherwise the reversals may be due to the motion of the target itself.
+    If nothing has hindered them, the reversals may be due to the motion of the target itself. rate (n,): present joint rates;
+    swings (3, n): as in `viability.watch`.
     """
     if law.mode != MODE.clip and state[STATE.free] < CALMING.lasting:
         calm(rate, s.size, swings, h, box_of(s))
@@ -120,7 +126,8 @@ def limit_oscillation(law, s, rate, swings, h, state):
 def record_oscillation(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
-    A limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
+    code (n,): bits of the limits that held joints back in this step; swings (3, n): as in `viability.watch`; h [s]: the step. A
+    limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
     """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
@@ -131,7 +138,10 @@ def record_oscillation(law, s, code, swings, h, state):
 
 @inline
 def weigh_levels(share, s):
-    """Write to s.heavy (m,) the largest weight of an error at each row's level; share: weight of this level relative to level 0."""
+    """Write to s.heavy (m,) the largest weight of all errors that have the same priority level as this one.
+
+    share (m,): weight of each error's level relative to level 0.
+    """
     for k in range(0, share.shape[0], 3):  # A level consists of positions and orientations, three errors each.
         most = 0.0
         for j in range(0, share.shape[0], 3):
@@ -142,7 +152,7 @@ def weigh_levels(share, s):
 
 @inner
 def copy_planes(law, lines, level, planes, edges):
-    """Copy the collision inequalities (lines x <= level) to `planes` and `edges`; return their number, law.rows."""
+    """Copy the collision inequalities on joint rates x, lines x <= level, to `planes` and `edges`; return their number law.rows."""
     for k in range(int(law.rows)):
         copy(lines[k], planes[k])
         edges[k] = level[k]
@@ -151,9 +161,10 @@ def copy_planes(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Clip the rates s.x to their bounds, each joint on its own, in mode clip and when the arm brakes (still).
+    """Clip the rates s.x (n,) to their bounds, each joint on its own, in mode clip and when the arm brakes (still).
 
-    The method's memory then receives the rates that clipped joints really took (mode clip), or zeros (if the arm brakes).
+    The method's `memory` of its last command receives the rates that clipped joints really took (mode clip), or zeros (if the arm
+    brakes). code (n,) receives the bits of the limits that held joints back.
     """
     clip(s.x, box_of(s), code)
     if not still:
@@ -167,10 +178,10 @@ def clip_rates(law, s, still, h, memory, code):
 # ---------------------------------------------------------------------------------------------------- inside the limits
 @inline
 def judge(wanted, h, p, state):
-    """Return whether the loop ends because of the commanded rates, and whether the arm brakes; to brake, the rates become 0.
+    """Return whether the loop must end because of the commanded rates `wanted` (n,), and whether the arm brakes.
 
-    The arm brakes if p.brake is set, or if the rates are not finite and p.runaway is infinite. Otherwise the loop ends if the rates
-    are not finite, or in mode clip if the mean joint move exceeds p.runaway.
+    The arm brakes, and the rates become 0, if p.brake is set (p: `Law`), or if the rates are not finite and p.runaway is infinite.
+    Otherwise the loop ends if the rates are not finite, or in mode clip if the mean joint move exceeds p.runaway.
     """
     largest = 0.0
     for k in range(wanted.shape[0]):
@@ -179,7 +190,7 @@ def judge(wanted, h, p, state):
     still = p.brake > 0.0 or (bad and p.runaway == np.inf)
     if still:
         clear(wanted)
-    # In the other modes the rate bounds limit a command that is large but finite.
+    # Outside mode clip a command that is large but finite is no reason to end, as the rate bounds limit it.
     elif bad or (p.mode == MODE.clip and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = STOP.not_finite if bad else STOP.runaway
         return True, still
@@ -190,8 +201,9 @@ def judge(wanted, h, p, state):
 def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
-    already in s. code (n,) receives the bits of the limits that held joints back.
+    law: `Law`; s: `Bench`; count: number of inequality constraints; h [s]: the step; own: `Carried`; work: memory for `constrain`.
+    If mu > 0, the step is a damped least-squares step with this damping, whose task is already in s. code (n,) receives the bits of
+    the limits that held joints back.
     """
     n = s.J.shape[0]
     mode, size = int(law.mode), s.size
@@ -225,7 +237,7 @@ def by_constraints(law, s, count, mu, h, own, work, code):
 
 @inline
 def by_clipping(law, s, count, mu, h, own, work, code):
-    """Write rates within all limits to s.x for a solver's iteration, by clipping each joint on its own.
+    """Write rates within all limits to s.x (n,) for a solver's iteration, by clipping each joint on its own.
 
     `by_constraints` is not used, since compiling it for every solver would take a minute. Always returns False: the solver's
     state is not corrected for clipped rates.
@@ -235,9 +247,9 @@ def by_clipping(law, s, count, mu, h, own, work, code):
 
 
 def apply_limits(rule, law, s, count, mu, h, own, work, code):
-    """Write the rates that limits allow, by `by_constraints` (published laws) or `by_clipping` (solvers).
+    """Write to s.x (n,) the rates that limits allow, by `by_constraints` (published laws) or `by_clipping` (solvers).
 
-    Numba compiles the overload below instead.
+    This version runs without numba, which compiles the overload below instead.
     """
     how = by_constraints if isinstance(rule, Published) else by_clipping
     return how(law, s, count, mu, h, own, work, code)
@@ -261,9 +273,10 @@ def error_squared(weight, e):
 
 @inline
 def run(step, arm, given, own, samples, out, h, block):
-    """Take steps until the output is full or the loop must end; return the number of steps.
+    """Take steps of h [s] until the output is full or the loop must end; return the number of steps.
 
-    block: array of zeros, used as scratch memory.
+    step: class of the solver's iteration, or Published; arm: the arrays rows, ends and orders of `servo`; given: Settings; own:
+    Carried; samples: Samples; out: Record; block: array of zeros, used as scratch memory.
     """
     (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
@@ -281,7 +294,7 @@ def run(step, arm, given, own, samples, out, h, block):
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)
-        for stage in range(2):  # Stage 0 evaluates the target at this sample, stage 1 at the next one.
+        for stage in range(2):  # First the error to this sample's target is evaluated, then that to the next sample's.
             task.head_for(T[i + stage])
             look = task.see()
             task.stack(look)

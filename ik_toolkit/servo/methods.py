@@ -40,8 +40,7 @@ from .stability import DEFAULT, best_gains
 
 # [arm reaches per rad] default damping of the pseudo-inverse; joint speed per tip speed then stays below 1 / (2 * 0.02)
 DAMPING = 0.02
-# [1/s] default damping of null-space motion; with less, null-space motion during one lap leaves the joints badly placed for the
-# next
+# [1/s] default damping of null-space motion; with less, the joints drift during one lap of a path to where the next one is harder
 NULL_DAMPING = TAKEN_UP
 
 # For each tracking method: its code in the compiled loop, its options, and a description of one line.
@@ -118,16 +117,14 @@ class Method:
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
 
-@functools.lru_cache(maxsize=64)  # Step lengths differ in a control loop, and choosing gains takes longer than a step.
+@functools.lru_cache(maxsize=64)  # A control loop returns to the same few step lengths; choosing gains takes time.
 def pack_law(method: Method, h: float) -> np.ndarray:
     """Return a method and its gains at sample time h [s] as an array, in the order of the fields of `Law`.
 
-    Entries that belong to a run and not to the method are 0.
+    Entries that the tracker sets, not the method, are 0.
     """
     gains = method.gains(h)
-    law = laws.Law(
-        *np.zeros(len(laws.Law._fields)),
-    )._replace(
+    law = laws.Law(*np.zeros(len(laws.Law._fields)))._replace(
         code=METHODS[method.name][0],
         kappa=gains.get("kappa", 0.0),
         kp=gains.get("kp", 0.0),
@@ -144,16 +141,16 @@ def pack_law(method: Method, h: float) -> np.ndarray:
 
 
 def make_method(method: str | Method, **options: Any) -> Method:
-    """Return a Method, from its name (cv, av, ca, aa, aad) and options.
+    """Return a tracking method (cv, av, ca, aa, aad), given by name or as a Method, with some of its options replaced.
 
-    Raise InvalidOption if one is unknown or out of range.
+    Raises InvalidOption for an unknown name or option, and for a value that is out of range.
     """
     made = method if isinstance(method, Method) else Method(method)
     allowed = (*METHODS[made.name][1], "damping")
     for option in options:
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-    # An option that is given needs a value, so None is refused as well.
+    # `number` refuses None, which would silently mean the default here.
     return replace(made, **{option: number(value, option) for option, value in options.items()})
 
 
@@ -186,7 +183,10 @@ class Run(NamedTuple):
     stopped: str
 
     def between(self, system: System, path: Callable[[float], np.ndarray], fractions: np.ndarray) -> np.ndarray:
-        """Return error norms (N, k) at fractions (k,) of each step, on the motion that the method assumes."""
+        """Return the norms (N, k) of the errors between samples, at fractions (k,) of each of N steps.
+
+        path: the target's position (m,) as a function of time [s]. Joints are taken to move as the method assumes.
+        """
         h = self.t[1] - self.t[0]
         out = np.empty((len(self.t) - 1, len(fractions)))
         for j, f in enumerate(fractions):

@@ -12,7 +12,8 @@ from ..validate import switch
 from .viability import LIMIT, UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
-INSTEAD = {  # advice in the error raised on assignment to an attribute of a Tracker, by attribute; "": all others
+# what the error says if an attribute of a Tracker is assigned to, by the attribute's name; "" stands for all other attributes
+INSTEAD = {
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",
     "": "make a Tracker with the robot, method and options that are meant",

@@ -28,9 +28,8 @@ class SlackRules(NamedTuple):
     """Constants by which an error with a slack (dead band) is kept inside the slack."""
 
     nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
-    # An error that exceeds its slack by more than a bound is closed like an error without slack. The bound is `beyond` [share of
-    # the slack] while inequalities cannot be kept, because a smaller excess may be rounding; otherwise it is `far` [arm reaches,
-    # rad].
+    # An error that exceeds its slack by more than `far` [arm reaches, rad] is closed like an error without slack. While
+    # inequalities cannot be kept, `beyond` [share of the slack] applies instead of `far`; a smaller excess may be rounding.
     beyond: float = 1e-3
     far: float = 1e-2
     pressed: float = 0.1  # [s] after which inequalities that keep errors within slack are tried again
@@ -55,7 +54,10 @@ def reflect(flip, y):
 
 @inline
 def bend(task, look, s, weighed):
-    """Write (dJ/dt along s.x1) s.x2 to s.bias (m,), multiplied by the weights of the errors if `weighed`."""
+    """Write (dJ/dt along s.x1) s.x2, the part of the tip's acceleration that comes from the change of J, to s.bias (m,).
+
+    task, look: the compiled problem and its evaluation at s.at; s: `Bench`; weighed: whether to multiply by the errors' weights.
+    """
     if task.plain():
         task.bending(look, s.x1, s.x2, s.bias)
     else:
@@ -87,7 +89,7 @@ def by_difference(task, s):
 
 @inner
 def mirror_free_rows(flip, J, e):
-    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set the components about free axes to exactly zero."""
+    """Mirror J (n, m) and the error e (m,) at the planes flip (F, 3) as `reflect` does; set components about free axes to zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
         if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
@@ -119,10 +121,10 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, s, count, h, state):
     """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside the band, an error may come closer to its edge by at most the share SLACK.nearly of the distance in one sample; slightly
-    outside, it is brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task
-    or contradict the limits (STATE.pressed), every error outside its band stays in the task, because hard inequalities would then
-    let joints turn at full speed.
+    slack (m,): 0 for an error without slack; s: `Bench`; h [s]: the step. Inside the band, an error may come closer to its edge by
+    at most the share SLACK.nearly of the distance in one sample; slightly outside, it is brought back. An error further outside
+    stays in the task, reduced by its slack. While inequalities block the task or contradict the limits (STATE.pressed), every error
+    outside its band stays in the task, because hard inequalities would then let joints turn at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -150,7 +152,7 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
+    """Add to g (n,) a velocity away from near position limits, which grows smoothly from 0 inside the range; gain [1/s]."""
     for i in range(q.shape[0]):
         lower, upper = limits[LIMIT.lowest, i], limits[LIMIT.highest, i]
         wide = upper - lower
@@ -165,7 +167,7 @@ def away_from_limits(q, limits, gain, g):
 
 @inner
 def scale_secondary(g, x, low, top):
-    """Scale the secondary motion g (n,) to use at most half of the margin between x and the rate bounds low, top."""
+    """Scale the secondary motion g (n,) to use at most half of the margin between the rates x (n,) and their bounds low, top."""
     scale = 1.0
     for i in range(x.shape[0]):
         if g[i] > 0.0:
@@ -180,7 +182,10 @@ def scale_secondary(g, x, low, top):
 
 @inner
 def into_null_space(J, m, G, y, t, g, part):
-    """Project g (n,) into the null space of the task, in place: g -= J^+ J g, with the G that `factor` wrote."""
+    """Project g (n,) into the null space of the task with m rows, in place: g -= J^+ J g, with the factor G that `factor` wrote.
+
+    t, y, part: scratch.
+    """
     apply_transposed(J, g, t)
     apply(J, m, G, t, y, part)
     for i in range(g.shape[0]):
@@ -204,21 +209,25 @@ class Secondary(Holds):
         self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:
-        """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
+        """Narrow the position limits in limits (4, n), in place, to the side of zero that the option `elbow` gives for a joint."""
         limits[LIMIT.lowest] = np.where(self.sides > 0.0, np.maximum(limits[LIMIT.lowest], 0.0), limits[LIMIT.lowest])
         limits[LIMIT.highest] = np.where(
             self.sides < 0.0, np.minimum(limits[LIMIT.highest], 0.0), limits[LIMIT.highest]
         )
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.
+        """Write to away (n,) the direction in which joints leave a straight, singular pose.
 
-        Without the option `elbow` it is 1 for all joints. With it, it is 1 or -1 for the joints that are named, and 0 for others.
+        Without the option `elbow` its entries are 1 for all joints. With it, they are 1 or -1 for the joints that it names, and 0
+        for the others.
         """
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:
-        """Set wish[2] to the joint velocity that lowers cost and raises manipulability, at q (n,) [rad or arm reaches]."""
+        """Set the desired null-space velocity, wish[2], to lower the cost and raise manipulability at q (n,) [rad or arm reaches].
+
+        Raises InvalidOption if the cost is not finite or has a wrong shape.
+        """
         unit = self.robot.chain.unit
         at = q * unit
         slope = np.zeros(len(at))

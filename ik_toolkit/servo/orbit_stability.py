@@ -23,7 +23,7 @@ from .command import SHARE
 class Sampling(NamedTuple):
     """Constants that set how a path is sampled and followed to compute the product of its steps."""
 
-    largest: float = 700.0  # just below the logarithm of the largest factor that a float can hold
+    largest: float = 700.0  # a little less than the logarithm of the largest float
     most: int = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
     iterations: int = 50  # largest number of Newton iterations for one sample; two or three are needed
     exact: float = 1e-10  # [m, rad] error below which a sample counts as on the path
@@ -71,7 +71,7 @@ class JacobianDerivatives(NamedTuple):
 
 
 class OrbitState(NamedTuple):
-    """What a step needs of its state in addition to the joint values, for N steps.
+    """What, besides the joint values, the matrices of N steps of a method depend on.
 
     rate (N, n): joint rates; error, ahead (N, m): target now, and at the end of the step, minus tip now; v, a (N, m): velocity and
     acceleration of the target.
@@ -175,7 +175,7 @@ class PathMotion:
         steps = step_matrices(bent, orbit, method, h, gains, null_damping)
         blocks = np.eye(steps.shape[-1] // self.robot.n)
         total, scale = chained(steps)
-        # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is not an error.
+        # The map is taken in coordinates of the tip, since null-space motion leaves the tip where it is and is no error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=ORBIT.singular))
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off, bend = np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max()
@@ -210,7 +210,7 @@ def stable_bands(
 
 
 def chained(matrices: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the product of matrices (N, k, k), the first applied first, over its scale, and the logarithm of the scale.
+    """Multiply matrices (N, k, k), the first one applied first; return the product divided by a scale, and the scale's logarithm.
 
     The product along an unstable path exceeds what a float can hold.
     """
@@ -225,7 +225,7 @@ def chained(matrices: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def tip_errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
-    """Return goals minus poses, both (N, 4, 4), as (N, m): a vector [m] and, if m is 6, a rotation vector [rad] in base axes."""
+    """Return the differences from poses to goals (N, 4, 4) as (N, m): [m] and, if m is 6, rotation vectors [rad], base axes."""
     off = goals[:, :3, 3] - poses[:, :3, 3]
     if m == 3:
         return off
@@ -241,28 +241,29 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> JacobianDerivatives:
     """
     rows, ends, n = robot.chain.rows, robot.chain.ends, robot.n
     L, owner = len(rows), rows[:, 8].astype(int)
-    # Each joint is a coordinate of its own here; followers are added to their leaders' columns at the end.
+    # Here each joint has a column of its own; the columns of joints that mimic another one are added to that one's at the end.
     single = np.column_stack([rows[:, :8], np.arange(L), rows[:, 9]])
     ends = np.concatenate([ends[:POINTS], np.zeros(7 * L), ends[POINTS + 7 * n :]])
     chain = robot.chain._replace(rows=single, ends=ends, unit=robot.chain.unit[owner])
     J = chain.forward(Q[:, owner], jacobian=True)[1]
     u, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
     later = np.arange(L)[:, None, None] >= np.arange(L)[:, None]
-    # Entry [t, r] holds w_r x u_t and w_r x w_t.
+    # entry [t, r] of by_u: w_r x u_t, of by_w: w_r x w_t
     by_u, by_w = np.cross(w[:, None], u[:, :, None]), np.cross(w[:, None], w[:, :, None])
     by_u, by_w = np.where(later, by_u, by_u.swapaxes(1, 2)), np.where(later, by_w, 0.0)
     sums = np.eye(n)[owner]
 
-    def before(parts: np.ndarray) -> np.ndarray:  # sums over the joints nearer the base
+    def before(parts: np.ndarray) -> np.ndarray:  # for each joint: sum of `parts` over the joints nearer the base
         return np.cumsum(parts, axis=1) - parts
 
-    def after(parts: np.ndarray) -> np.ndarray:  # sums over the joint itself and those nearer the tip
+    def after(parts: np.ndarray) -> np.ndarray:  # for each joint: sum of `parts` over it and those nearer the tip
         return parts.sum(axis=1, keepdims=True) - before(parts)
 
     def third(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the derivative of sum_t y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t), see `JacobianDerivatives`.
+        """Return the derivatives (N, m, n) of (dJ/dt along the rates x) y with respect to each joint; x, y (N, n).
 
-        turn_t is the angular velocity before joint t, speed_t the velocity of the tip due to t and later joints, at rates x.
+        That product is the sum over t of y_t (turn_t x u_t + w_t x speed_t; turn_t x w_t). Here turn_t is the angular velocity of
+        the link before joint t at the rates x, and speed_t the velocity of the tip due to joint t and those after it.
         """
         x, y = x[:, owner, None], y[:, owner]
         k = len(x)
@@ -278,7 +279,7 @@ def jacobians(robot: Robot, Q: np.ndarray, m: int) -> JacobianDerivatives:
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
-    """Return the given damping of null-space motion [1/s], limited to what the method tolerates in steps of h [s]."""
+    """Return a damping of null-space motion [1/s], limited to what keeps the method stable in steps of h [s]."""
     return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
 
 
@@ -292,7 +293,8 @@ def step_matrices(
 ) -> np.ndarray:
     """Return the matrices (N, k n, k n) that carry a small disturbance over each step: the exact derivative of the step.
 
-    Its k n states are those of `mapping_matrix`. Method aa takes option reading (where dJ/dt is evaluated) among the gains.
+    The k n numbers of the state are those of `stability.mapping_matrix`, for n joints. For method aa the option `reading`, which
+    says where dJ/dt is evaluated, may be among the gains.
     """
     N = len(orbit.rate)
     J, H = bent.J[:N], bent.H[:N]
@@ -310,7 +312,7 @@ def step_matrices(
     def turned(y: np.ndarray) -> np.ndarray:  # the derivative of J y with respect to q
         return np.einsum("kmji,kj->kmi", H, y)
 
-    # the derivative of J^+ b with respect to q; by_q is that of b
+    # the derivative of J^+ b with respect to q, where by_q is the derivative of b
     def inverse(b: np.ndarray, by_q: np.ndarray) -> np.ndarray:
         y = times(P, b)
         dual, left = times(P.swapaxes(1, 2), y), b - times(J, y)
@@ -322,7 +324,7 @@ def step_matrices(
     if method == "cv":
         u = inverse(orbit.v + gains["kappa"] * orbit.error, gains["kappa"] * behind)
         return _blocks([[eye + 1.5 * h * u, -0.5 * h * eye], [u, 0.0 * eye]])
-    # minus the derivative, with respect to q, of the null-space part of the rates
+    # minus the derivative of the null-space part of the rates, (1 - J^+ J) qd, with respect to q
     drift = inverse(times(J, qd), turned(qd))
     if method == "ca":
         kp, kd = gains["kp"], gains["kd"]
@@ -342,8 +344,8 @@ def step_matrices(
     move = inverse(b, coming - kept * behind)
     if method == "av":
         return eye + move
-    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), plus the damping of null-space motion. Here s = J^+
-    # b, and x, y are qd or s / h + free qd.
+    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g), plus the damping of null-space motion. Here g is the
+    # weight of the new rate (gamma), s = J^+ b, D(x) = `along(x)`, and x, y are qd or s / h + (1 - J^+ J) qd.
     g, reading = (0.5, gains.get("reading", 2)) if method == "aa" else (gains["gamma"], 3)
     rates = (qd, np.zeros_like(eye), eye)  # the rates x and y, with their derivatives with respect to q and qd
     expected = (times(P, b) / h + times(free, qd), move / h - drift, free)

@@ -26,13 +26,14 @@ class SurveyConstants(NamedTuple):
     halvings: int = 10
     # A joint nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
     boundary: float = 1e-3
-    starts: int = 24  # number of attempts to find another posture for the start of a path
+    starts: int = 24  # number of random postures from which another solution for the start of a path is sought
     apart: float = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
     shorter: float = 0.95  # The first size factor suggested is this times the share of the path that can be reached.
     # These size factors are tried as well, because a smaller closed path may be in reach as a whole.
     sizes: tuple[float, ...] = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
     probe: float = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
-    digits: str = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
+    # format of joint values in a message; with 4 digits the tip would start up to 1 mm off its path
+    digits: str = ".7g"
 
 
 SURVEY = SurveyConstants()
@@ -74,7 +75,8 @@ class Survey:
         far, whole = ((angle(float(x)) if self.turning else length(float(x))) for x in (self.stop, self.along[-1]))
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
-        few = self.robot.n < (6 if self.posed else 4)  # Three joints may only be able to move the tip in a plane.
+        # Positions take four joints, because three may only be able to move the tip in a plane.
+        few = self.robot.n < (6 if self.posed else 4)
         few = f", or its {self.robot.n} joints cannot move the tip along this path" if few else ""
         return f"{where}: {at if self.joints else f'the arm is at the edge of its reach{few}'}"
 
@@ -92,7 +94,7 @@ class Survey:
 
 
 def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any) -> Survey:
-    """Follow a reference from q0 (n,), pose by pose.
+    """Follow a reference pose by pose, by a solver and without limits of time, to see which of its poses can be reached.
 
     Args:
         robot: The robot.
@@ -102,7 +104,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVE
         options: Which errors count, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
 
     Returns:
-        The survey.
+        What was found: the joint values at the poses, and how far the path can be reached.
     """
     t, along, turning = path_samples(robot, reference, fewest)
     q = np.empty((len(t), robot.n))
@@ -120,7 +122,10 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVE
 def trace(
     robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return times (K,) [s] and joint values (K, n) as `survey` does, or None if a pose is out of reach."""
+    """Return times (K,) [s] along a reference and joint values (K, n) for its poses there; None if a pose is out of reach.
+
+    Arguments are those of `survey`.
+    """
     t, _, _ = path_samples(robot, reference, fewest)
     q = []
     for found in _followed(robot, targets_at(reference, t), q0, options):
@@ -140,7 +145,10 @@ def _followed(robot: Joints, targets: list[Any], q: Any, options: dict[str, Any]
 
 
 def other_start(robot: Joints, reference: References, **options: Any) -> np.ndarray | None:
-    """Return joint values (n,) at a reference's start from which all of it can be reached, or None."""
+    """Return joint values (n,) for the start of a reference from which all of it can be reached, or None if none are found.
+
+    options: as for `survey`.
+    """
     start = targets_at(reference, np.zeros(1))[0]
     solver, tried = bound_search(robot, restarts=0, **options), []
     for q in robot.random_q(np.random.default_rng(0), SURVEY.starts):
@@ -156,7 +164,7 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 
 def bound_search(robot: Joints, **options: Any) -> Any:
-    """Return the general-purpose numerical solver for a robot, with tolerances fine enough to say what can be reached."""
+    """Return the general-purpose iterative solver for a robot, with tolerances SURVEY.close and the options of `ik.solve` given."""
     from ..solvers.registry import search_for
     from ..solvers.solve import bound_solver
 
@@ -168,7 +176,7 @@ def bound_search(robot: Joints, **options: Any) -> Any:
 
 
 def freed(reference: Reference) -> Reference:
-    """Return the same path with the orientation free."""
+    """Return a reference with the same path and time law, but without asking for an orientation."""
 
     def free(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> None:
         V[:, 3:] = A[:, 3:] = 0.0
@@ -177,7 +185,7 @@ def freed(reference: Reference) -> Reference:
 
 
 def scaled(reference: Reference, factor: float) -> Reference:
-    """Return the same path with the distances from its start multiplied by `factor`; rotations do not change."""
+    """Return a reference with all distances from its start multiplied by `factor`; rotations and times do not change."""
     origin = reference.at(0.0)[0][:3, 3]
 
     def scale(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> None:
@@ -200,7 +208,7 @@ def _changed(reference: Reference, change: Callable, position_only: bool) -> Ref
 
 
 def smaller(found: Survey) -> list[float]:
-    """Return size factors worth trying for a path that is partly out of reach, largest first."""
+    """Return factors by which to scale down a path that `found` says is partly out of reach, largest first; [] if pointless."""
     if not found.until or found.turning:
         return []
     reached = float(found.stop / found.along[-1])
@@ -209,9 +217,9 @@ def smaller(found: Survey) -> list[float]:
 
 
 def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the options for a pose target, changed so that only its position counts.
+    """Return a copy of the options of `ik.solve` with which only the position of a pose counts.
 
-    Return None if nothing would then count, or if mask or slack is a dict.
+    It is None if nothing would then count, or if mask or slack is a dict.
     """
     kept = {name: value for name, value in options.items() if name != "free_turn"}
     for name in ("mask", "slack"):
@@ -256,7 +264,7 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
 
 
 def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
-    """Return joint-space unit vectors (N, n) away from the nearest singular pose, at configurations path (N, n).
+    """Return unit vectors (N, n) along which the joints move away from the nearest singular pose, at configurations path (N, n).
 
     They are the normalised gradients of the least singular value of J. posed: for each tip, whether an orientation is asked for.
     """
@@ -331,7 +339,7 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
 
 
 def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
-    """Return the names of the joints that are within a thousandth of their range of a limit, at q (n,)."""
+    """Return the names of the joints that at q (n,) are nearer to a position limit than a thousandth of their range."""
     span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
     near = np.minimum(q - robot.lower, robot.upper - q) <= SURVEY.boundary * span
     return tuple(name for name, hit in zip(robot.joint_names, near, strict=True) if hit)

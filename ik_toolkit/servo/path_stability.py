@@ -88,7 +88,7 @@ def least_rate(
     fixed: dict[str, Any] = complete(method, gains)
     own = [name for name in gains if name not in DEFAULT._fields]
     tried: dict[str, Any] = fixed if own else best_gains(method, 1.0) | gains
-    mapping_matrix(method, 1.0, **tried)  # raises an error if a gain is missing or wrong
+    mapping_matrix(method, 1.0, **tried)  # only to raise an error if a gain is missing or wrong
     motion, damping = PathMotion(robot, path, q0), not_negative(null_damping, "null_damping [1/s]")
     longest = longest_step(method, **fixed) if own else math.inf
     if longest == 0.0:
@@ -132,7 +132,7 @@ class StabilityChart:
         shape: For ca, kp / kd^2, which is the same in the whole chart; 0 for cv.
         gain: (G,) kappa h of cv, kd h of ca.
         samples: (S,) number of samples of the path.
-        travel: (S,) mean distance by which the target moves in a sample [m].
+        travel: (S,) mean distance [m] by which the target moves from one sample to the next.
         per_step: (S, G) mean factor by which a small error changes in a sample; stable below 1.
     """
 
@@ -152,7 +152,7 @@ class StabilityChart:
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether each point (S, G) is stable."""
+        """Whether a small error dies out, for each number of samples and each gain (S, G)."""
         return self.per_step < 1.0
 
 
@@ -167,7 +167,7 @@ def stability_chart(
     q0: Any = None,
     null_damping: float = 0.0,
 ) -> StabilityChart:
-    """Return where cv or ca is stable along a path, over the gain times the sample time and the speed: Fig. 9 in motion.
+    """Return where cv or ca is stable along a path, for each gain times the sample time and each speed.
 
     Args:
         robot: The robot.
@@ -202,7 +202,7 @@ def stability_chart(
     for i, count in enumerate(counts):
         for j, x in enumerate(gain):
             used = {"kappa": x} if method == "cv" else {"kp": kp_share * x * x, "kd": x}
-            # The sample time is set to 1 s, so gains equal their products with it, and `pace` gives the path its number of samples.
+            # With a sample time of 1 s gains equal their products with it; `pace` then sets how many samples the path takes.
             per_step[i, j] = motion.growth(method, 1.0, used, damping, pace=path.duration / float(count)).per_step
     kept = kp_share if method == "ca" else 0.0
     return StabilityChart(method, robot.name, path.name, kept, gain, counts, length / counts, per_step)

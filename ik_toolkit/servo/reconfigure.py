@@ -41,7 +41,7 @@ REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts
 
 
 class Taken(NamedTuple):
-    """A step that a tracker has taken, joints in rad or arm reaches; the arrays are shared with the tracker."""
+    """What is known of a step that a tracker has just taken, joints in rad or arm reaches; the arrays belong to the tracker."""
 
     code: np.ndarray  # (n,) bits of the limits that were active (`viability.LimitBits`)
     singular: bool  # whether the pose was singular
@@ -84,18 +84,8 @@ class Postures:
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
         for quick in (False, True):
             self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited, quick=quick)
-        travel(
-            q,
-            np.zeros_like(q),
-            q,
-            *UNKNOWN,
-            0.0,
-            1.0,
-            ARRIVAL.wait,
-            ARRIVAL.wait,
-            unlimited,
-            np.zeros(len(q), np.uint8),
-        )
+        code, h = np.zeros(len(q), np.uint8), ARRIVAL.wait
+        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, h, h, unlimited, code)
 
     def find(
         self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray, *, quick: bool = False
@@ -131,12 +121,12 @@ class Postures:
 
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:
-    """Return the norm of the difference of two sets of poses (F, 4, 4), over all matrix entries [m, 1]."""
+    """Return how far apart two sets of poses T, before (F, 4, 4) are: the norm of the difference of all matrix entries [m, 1]."""
     return math.hypot(*(T - before).ravel().tolist())
 
 
 def locked(limits: np.ndarray) -> bool:
-    """Return whether a joint may not move: its speed limit is 0, or its position limits are equal."""
+    """Return whether any joint cannot move in limits (4, n): its speed limit is 0, or its position limits are equal."""
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
@@ -144,13 +134,14 @@ FAST = BIT.velocity | BIT.recovering  # bits of the limits that hold a joint bac
 
 
 class SearchConstants(NamedTuple):
-    """Constants that set when another posture is searched, and for how long. Times are those of an arm of six or seven joints."""
+    """Constants that set when another posture is searched for, and how long. Times are those of an arm of six or seven joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
-    attempts: int = 96  # number of attempts; if one attempt in ten succeeds, all of them fail in one search of 25,000
+    attempts: int = 96  # number of solver attempts; if one in ten succeeds, only one search in 25,000 finds nothing
     attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
-    share: float = 0.05  # share of the time between two updates that a search may take, so that it ends within 0.02 s
-    # A search ends after this share of the duration of the best move found, because the arm is waiting.
+    # share of the time between two updates that a search may take; all attempts together take about 1 ms
+    share: float = 0.05
+    # A search also ends once it has lasted for this share of the duration of the best move found, because the arm is waiting.
     rush: float = 0.02
     pause: float = 3.0  # [s] after a search that found nothing; it doubles each time while the target stands still
     longest: float = 16.0  # [s] longest pause, so that 99 % of the updates do not search
@@ -163,12 +154,12 @@ class MoveConstants(NamedTuple):
 
     standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
     on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
-    # [s] A posture from which a joint at full speed reaches its position limit sooner than this costs the difference.
+    # [s] A posture costs more, by the difference, if a joint at full speed would reach a position limit sooner than this from it.
     headroom: float = 0.5
     far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
     barred: int = 5  # number of postures remembered as blocked by a collision
     arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-    # [s] The same for a target that stands still, which does not move away meanwhile, so that the move continues nearly to its end.
+    # [s] The same if the target stands still: as it does not move away meanwhile, the move continues nearly to its end.
     close: float = 1e-3
 
 
@@ -196,7 +187,7 @@ class Reconfiguration:
         """Reset to the initial state: no goal, no search, no pause."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
-        self._barred: list[np.ndarray] = []  # postures that collide, or that a collision on the way blocks
+        self._barred: list[np.ndarray] = []  # postures (n,) at which, or on the way to which, a collision was found
         self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
         self.forget()
         self._quiet, self._pause = 0.0, SEARCH.pause  # [s] left of the present pause, and length of the next one
@@ -244,7 +235,7 @@ class Reconfiguration:
             return
         # A joint at its speed limit is already moving as fast as it can.
         # A joint at its acceleration limit is already moving as fast as it can if the target moves.
-        # If the target stands still, a joint at its acceleration limit may only be trembling.
+        # If the target stands still, a joint at its acceleration limit may only be moving to and fro.
         if held & FAST or (held & BIT.acceleration and stood < ARRIVAL.wait):
             self._stood = 0.0
             return
@@ -336,7 +327,7 @@ class Reconfiguration:
             self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
-        self.goal, self._place = goal, place  # The target may have moved on since then; `go` lets the goal follow it.
+        self.goal, self._place = goal, place  # If the target has moved on since the search, `go` adapts the goal.
 
     def _enough(self, stands: bool) -> float:
         """Return the accumulated error [m s] that justifies the move last found."""
@@ -384,7 +375,7 @@ class Reconfiguration:
 
     def blocked(self) -> None:
         """Give up the move because of a collision ahead; another posture may be free later."""
-        if self.goal is not None:  # No goal is left if the blocked step would have been the last of the move.
+        if self.goal is not None:  # There is none if the blocked step would have been the last one of the move.
             self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()

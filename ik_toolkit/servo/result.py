@@ -23,7 +23,7 @@ from .path_reach import Survey
 from .stability import GainCheck
 from .viability import BIT
 
-ROUNDING = 1e-6  # a lag of the reference's clock below this share of a step is rounding
+ROUNDING = 1e-6  # share of a step by which the clock of the reference may lag without counting as slowed
 
 
 class TrackStatus(Enum):
@@ -256,7 +256,7 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
 
 POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
-SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
+SETTLE = 0.5  # [s] time in which an arm that starts at rest may still be off its path
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
@@ -272,7 +272,7 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
     """Return the status of a run for which `steps` were planned, and a sentence about it.
 
-    stop: why the loop ended (a code of STOP).
+    stop: why the compiled loop ended, a code of `loop.STOP`.
     """
     done = len(result.t) - 1
     if stop in (STOP.runaway, STOP.not_finite):
@@ -303,14 +303,14 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        # With a time to settle, the added time may come from the start alone.
+        # If errors are judged only from `settle` on, the run may have been slowed at its start alone, for another reason.
         why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
 
 
 def hold_against(result: TrackResult, robot: Any) -> None:
-    """Set CONSTRAINT_OPEN if a constraint of the robot is open in a successful run, at up to 200 samples."""
+    """Change the status of a successful run to CONSTRAINT_OPEN if a closed loop of the robot is open at one of 200 samples."""
     if not result.success or not robot.constraints:
         return
     rows = np.unique(np.linspace(0, len(result.q) - 1, 200).round().astype(int))
@@ -386,7 +386,7 @@ def _between_samples(result: TrackResult) -> str:
     if not judged.any():
         return ""
     at_samples = result.t >= result.settle
-    # an error between samples that is at most 1 % larger is not mentioned
+    # Errors between samples are mentioned if they exceed those at the samples by more than 1 %.
     more = result.between_position[judged].max() > 1.01 * result.position_error[at_samples].max()
     if result.between_orientation is not None and result.orientation_error is not None:
         more = more or result.between_orientation[judged].max() > 1.01 * result.orientation_error[at_samples].max()

@@ -35,14 +35,14 @@ class RetimingConstants(NamedTuple):
     faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
     joints: float = 1.2  # factor by which the joint limits of a redundant robot are raised for a faster time law
     tip: float = 1.5  # factor by which the allowed error of the tip is raised for a faster time law
-    far_off: float = 4.0  # An error above so many tolerances has another cause than the linearisation in single steps.
+    far_off: float = 4.0  # number of tolerances above which an error does not come from the linearisation of steps
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
     least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
     alike: float = 1.25  # ratio up to which the largest errors of two runs that left the reference count as equal
-    followed: float = 0.2  # largest error of a step in a joint path, as a share of the tolerance; sets the step length
+    followed: float = 0.2  # share of the tolerance that a step of a joint path may miss by; it sets the steps' length
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     harder: tuple[float, ...] = (10.0, 30.0)
@@ -51,7 +51,7 @@ class RetimingConstants(NamedTuple):
     # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
     exact: float = 1e-6
     stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
-    lead: float = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
+    lead: float = 0.5  # share of the distance to a joint path of `solve_path` that a step corrects, in the null space
     slowest: float = 0.02  # least rate of the reference's clock near obstacles
     runaway: float = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
     at_once: int = 20_000  # number of steps between two checks for Ctrl-C
@@ -71,13 +71,13 @@ class Clock(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A joint path Q (K + 1, n) [rad or arm reaches] at reference times s (K + 1,) [s], and its null-space motion."""
+    """A joint path Q (K + 1, n) [rad or arm reaches] at reference times s (K + 1,) [s], and the null-space options for it."""
 
     s: np.ndarray
     Q: np.ndarray
     avoid: float  # [1/s] gain of limit avoidance
     posture: np.ndarray  # (2, n) posture for the null-space motion, and its gain [1/s]
-    led: bool = False  # whether the path leads null-space motion, also at singular poses
+    led: bool = False  # whether null-space motion is to follow this path, also at singular poses
     sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions away from singular poses (`singular_sides`)
 
 
@@ -93,7 +93,7 @@ class Taken(NamedTuple):
     clock: Clock
     end: np.ndarray  # state that the tracker carries at the end of the run
     elapsed: float  # [s] time that the steps took to compute
-    between: tuple[str, str] | None  # names of the two parts that would most often have touched
+    between: tuple[str, str] | None  # names of the two parts whose contact was avoided most often, or None
 
 
 class Run:
@@ -117,7 +117,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` makes `fine` denser
+        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` puts more samples into `fine`
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         weights = tracker._settings.counts[0]
@@ -159,7 +159,7 @@ class Run:
         from_rest = moves and self.tracker._begins_at_rest() and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or a large initial error
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # or the arm begins off its path
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -177,7 +177,7 @@ class Run:
             if taken.missed == 0 or taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # The next law uses the path that the joints took.
+            if not way.led and len(taken.Q) == len(clock.s):  # The next law is for the path that the joints took.
                 way = way._replace(Q=resampled(way.s, clock.s[moved], taken.Q[moved]))
             again = share < RETIME.acceleration[0]
             if again or self._excess(taken.E).max() < RETIME.far_off:
@@ -217,8 +217,8 @@ class Run:
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
-        plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
-        found: list[tuple[int, int, Way]] = []  # number of samples missed, number of steps, path
+        plain = here.avoid == AVOID and not here.posture[1].any()  # whether the caller asked for no null-space motion
+        found: list[tuple[int, int, Way]] = []  # joint paths, each after its numbers of samples missed and of steps
         for way in (here, *(self._besides(here) if plain and self.redundant else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
@@ -227,7 +227,7 @@ class Run:
                 break
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
-        slowest = found[0][0] == 0 and found[0][1] > self.most  # then another posture would not help
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # The best path is good, but takes too many steps.
         other = plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one
         if other and (planned := self._planned(samples)) is not None:
             yield Way(s, planned, 0.0, here.posture, led=True)
@@ -256,7 +256,7 @@ class Run:
         limits[:] = kept
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
-        off[: int(np.argmin(np.append(off, False)))] = False  # Misses while the reference is approached do not count.
+        off[: int(np.argmin(np.append(off, False)))] = False  # Misses before the path is first reached do not count.
         missing = len(samples.T) - len(Q)
         return np.concatenate([Q, np.repeat(Q[-1:], missing, axis=0)]), int(off.sum()) + missing
 
@@ -300,7 +300,7 @@ class Run:
         times = times_of(s, rate)
         steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
-        # A clock may nearly stand still, so the array is cut before it is made.
+        # The clock may nearly stand still, so the number of samples is limited before they are made.
         t = np.append(np.arange(min(steps, self.most + 1.0)) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
@@ -372,28 +372,25 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave a Record without its last sample
+        whole, C = len(clock.s), C[: len(Q) - 1]  # After Ctrl-C there are as many limit bits as samples: one too many.
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:
             missed = int(((C & (BIT.velocity | BIT.acceleration)) > 0).any(axis=1).sum())
-        missed += (whole - len(Q)) * self.most  # an incomplete run is worse than any complete one
+        missed += (whole - len(Q)) * self.most  # so that any incomplete run counts as worse than a complete one
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
 
     def _excess(self, E: np.ndarray, settle: float | None = None) -> np.ndarray:
         """Return for each of M samples the largest ratio of error, in E (M, m), to tolerance; 0 before settle [s]."""
-        with np.errstate(over="ignore"):  # A run that diverges may have errors whose squares overflow.
+        with np.errstate(over="ignore"):  # In a run that diverges, errors may be so large that their squares overflow.
             errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
         late = np.arange(len(E)) * self.dt >= (self.settle if settle is None else settle)
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)
 
 
 def samples_along(references: list[Reference], clock: Clock, read: Callable = Reference.at) -> Samples:
-    """Sample the references at the times of a clock, with twists and accelerations scaled to its rate.
-
-    read: `checked` for references that have not been sampled before.
-    """
+    """Sample the references (one per tip) at the times of a clock, by the function `read`, and scale their motion to its rate."""
     made = [read(one, clock.s) for one in references]
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]

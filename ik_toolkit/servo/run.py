@@ -19,7 +19,6 @@ from ..robot.rotation import angles_between
 from ..robot.tree import Tree
 from ..solvers.batch.targets import doubt_far
 from ..solvers.collision_free import collision_model
-from ..solvers.task import group_levels
 from ..validate import number, one_of, positive
 from .adapters import check_options
 from .methods import Method, interpolate
@@ -145,7 +144,8 @@ def track(
     settle = settling(settle, tracker._begins_at_rest(), times[-1])
     tracker.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
-    tolerances = tuple(np.where(first_level(tracker), tolerances, np.inf))
+    # Only positions, or orientations, that have the highest priority at any tip are judged.
+    tolerances = tuple(np.where(tracker._judged.firm.any(axis=0), tolerances, np.inf))
     run = Run(tracker, references, times, tolerances, settle, stretch, counts)
     best = run.go(mode == "slow")
 
@@ -237,11 +237,6 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         end=float(run.times[-1]),
         tips=robot.tips,
     )
-
-
-def first_level(tracker: Any) -> np.ndarray:
-    """Return whether positions and orientations (2,) have the highest priority at any tip; only these decide on the verdict."""
-    return np.any(np.array(group_levels(tracker.robot, tracker.engine.options)).reshape(-1, 2) == 0, axis=0)
 
 
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

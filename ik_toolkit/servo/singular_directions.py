@@ -31,14 +31,15 @@ from .singular_step import (
 from .viability import approach
 from .workspace import STATE
 
-BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
+BEFORE = -1.0  # value of STATE.near if the pose was singular at some earlier step, but not in the last one
 
 
 @inner
 def remember(state, near, beyond, h):
-    """Update STATE.near after a step of h [s].
+    """Update the entry STATE.near of `state`, by which later steps know of singular poses, in a step of h [s].
 
-    near: whether the pose is singular; beyond: whether the target is out of reach along one of its singular directions.
+    near: whether the pose is singular; beyond: whether the target is out of reach along one of its singular directions. At a
+    singular pose the entry is 1 plus the time [s] for which the target still counts as out of reach.
     """
     if near:
         state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
@@ -48,11 +49,11 @@ def remember(state, near, beyond, h):
 
 @inline
 def begin_mode(s, r, free, way, away):
-    """Write the joint direction of singular direction r to row r of V; return False if there is none.
+    """Write to row r of s.V the joint direction that belongs to singular direction r; return False if there is none.
 
-    In that case direction r is marked as removed from the task (s.lost). free: whether the direction of most curved tip motion will
-    be looked for; then s.x1 receives the direction at which `bent_direction` needs its gradient. way: the tip motion asked for;
-    away: see `mode_speed`.
+    Without one, direction r is marked as removed from the task (s.lost). free: whether the joint direction in which the tip's path
+    is most curved will be looked for; s.x1 then receives the direction with which `bent_direction` needs each joint combined. way:
+    the tip motion asked for; away (n,): see `mode_speed`; s: `Bench`.
     """
     there = mode_direction(s.W, s.sv, r, away, way, s.V[r])
     if not there:
@@ -64,10 +65,11 @@ def begin_mode(s, r, free, way, away):
 
 @inline
 def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
+    """Write to s.x1 and s.x2 (n,) the joint motions for which (dJ/dt along s.x1) s.x2, the curvature of the tip's path, is needed.
 
-    part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
-    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (row r of V), or 0 for the gradient.
+    part: ALONG, BESIDE or BOTH of `mode_probe`; or part = i - n < 0: for an entry of the gradient of singular value r, s.x2 moves
+    joint i alone, and s.x1 stays. Returns the joints' present rate along row r of s.V, or 0 for the gradient. rate (n,): present
+    joint rates; h [s]: the step.
     """
     n = rate.shape[0]
     if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
@@ -81,7 +83,10 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
+    """Store the curvature along task direction u_r (row r of s.U) that was evaluated into s.bias, for the motion of `probe_mode`.
+
+    It goes to s.t[part] for part >= 0, else to the joint's entry of s.null: 0 if that joint cannot move.
+    """
     curved = dot(s.U[r], s.bias, s.bias.shape[0])
     i = part + s.null.shape[0]
     if part >= 0:
@@ -92,10 +97,10 @@ def note_curve(s, r, part):
 
 @compiled
 class WeakMode(NamedTuple):
-    """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
+    """A singular direction: the tip can hardly move along the task direction u_r (m,), for which the joints move along V_r (n,)."""
 
     r: int  # index of the singular direction
-    full: float  # singular value sigma_r
+    full: float  # singular value sigma_r of the Jacobian
     sigma: float  # tip motion along u_r per unit of joint motion along V_r
     # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
     rest: float
@@ -106,7 +111,7 @@ class WeakMode(NamedTuple):
 
 @inline
 def fastest_along(v, limits):
-    """Return the highest speed and acceleration along the joint direction v (n,) that all limits allow."""
+    """Return the highest speed and acceleration along the joint direction v (n,) that the limits (4, n) of all joints allow."""
     cap, a = np.inf, np.inf
     for i in range(v.shape[0]):
         if v[i] != 0.0:
@@ -117,10 +122,11 @@ def fastest_along(v, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide whether to remove singular direction r from the task; if so, set s.lost[r] to 1 and s.xk[r] to the speed along V_r.
+    """Decide whether to remove a singular direction, `mode` (WeakMode), from the task, and how fast the joints move along it.
 
-    u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
-    `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
+    If it is removed, s.lost[r] becomes 1 and s.xk[r] the speed along V_r (r: the direction's index). s.t holds the curvature along
+    u_r of each motion of `mode_probe`. gain [1/s]: rate at which the error is closed; h [s]: the step; limits (4, n): as in
+    `Settings`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
     away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
     now if that is not known. Returns whether the target is out of reach along this direction now.
     """
@@ -134,7 +140,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
         bring_along(v, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
+    # An error that is small against another one that cannot be closed is closed with damping, by the formula of `hold_back`.
     if abs(left) < WEAK.minor * mode.rest:
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
@@ -142,13 +148,13 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     for last in range(0 if a < np.inf else 1, 2):
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
-        # `most` is the highest speed from which the motion can brake before the error is zero, as in `ease`.
+        # `most` is the highest speed from which the motion can brake before the error is zero.
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
     edge = D < 0.0
     x = (WEAK.caution if edge else 1.0) * y / h
-    # Joints that were carried far to the other side move back across the singular pose.
+    # Joints that have got far onto the other side of the singular pose move back across it.
     if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
         x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
@@ -165,10 +171,10 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def straight_along_axis(task, look, s, away):
-    """Return whether an error asks for motion that no joint makes at this pose, but the joints would if they bent (along `away`).
+    """Return whether an error asks for a motion that no joint makes now, but joints would make once they bent along away (n,).
 
-    Only then does a row of zeros in the Jacobian make the pose singular: most such rows are zero at every pose, like that of the
-    height of a planar arm, and `gram` leaves them out.
+    Only then does a component of the task in which no joint moves the tip make the pose singular. Most such components stay zero
+    at every pose, like the height of a planar arm, and `laws.gram` leaves them out. s: `Bench`.
     """
     n, m = s.J.shape
     probed, straight = False, False
@@ -187,9 +193,10 @@ def straight_along_axis(task, look, s, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
+    """Decide for each singular direction whether to remove it from the task, and how fast the joints move along it.
 
-    Returns whether the target is out of reach along one of them.
+    law: `Law`; s: `Bench`, whose lost, xk and pull receive the decisions (see `mode_speed`); limits (4, n): as in `Settings`; h
+    [s]: the step; own: `Carried`; heavy: largest weight of an error. Returns whether the target is out of reach along one of them.
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state
@@ -198,7 +205,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         if s.sv[r] >= EASING.region * law.damping:
             continue
         if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
-            clear(away)  # Before the first singular pose the side from which joints came is only a default.
+            clear(away)  # Before the first singular pose, `away` is only a default for the side the joints came from.
         near = True
         left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
         free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
@@ -214,7 +221,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         rest = heavy * others if state[STATE.near] == 1.0 + WEAK.side else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        # Motion along the rest of the gradient, across the replaced direction, is damped as in `hold_back`.
+        # `down_slopes` moves the joints along the part of sigma_r v_r across V_r, damped like the other errors in `hold_back`.
         if free and out:
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

@@ -27,7 +27,7 @@ from ..kernel.records import copy
 from ..kernel.vectors import add_multiple, any_of, clear, dot
 from .laws import gram
 
-ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
+ALONG, BESIDE, BOTH = range(3)  # codes of the joint motions for which `mode_probe` prepares a curvature
 
 
 class SingularThresholds(NamedTuple):
@@ -37,11 +37,13 @@ class SingularThresholds(NamedTuple):
     """
 
     zero: float = 1e-9  # singular value below which the tip does not move to first order
-    # This is added to the squared singular values before factoring; it is negligible against the least of those kept, lost^2.
+    # This is added to the squared singular values before factoring. It is negligible against the least that is kept, `lost`
+    # squared.
     nothing: float = 1e-12
     # If the component of a unit vector along a direction exceeds this, it is clear to which side the vector points.
     clearly: float = 0.1
-    # The remembered side counts if its component exceeds this; a smaller component may come from another singular pose.
+    # The side from which the joints came counts if the vector that remembers it has a larger component than this along the
+    # direction; a smaller component may come from another singular pose.
     known: float = 0.5
     lost: float = 5e-3  # singular value below which a direction is removed from the task
     # A direction is also removed if the product of the move asked for and the curvature exceeds this share of sigma_k^2.
@@ -51,7 +53,7 @@ class SingularThresholds(NamedTuple):
     flat: float = 1e-3  # [arm reaches / rad^2] a smaller curvature counts as zero
     # A step takes this share of the move to the closest pose; full steps would zigzag, as in steepest descent.
     caution: float = 2.0 / 3.0
-    # Errors below this share of another error, which cannot be closed, are closed with damping.
+    # An error is closed with damping if it is below this share of another error that cannot be closed.
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
     side: float = 0.2  # [s] for which the side from which the joints came is remembered; longer than an oscillation
@@ -87,9 +89,9 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def leave_modes(W, sigma, r, x):
-    """Remove from the joint motion x (n,) what moves the tip, except along task direction u_r (r = -1: no exception).
+    """Remove from the joint motion x (n,), in place, what moves the tip, except along task direction u_r (r = -1: no exception).
 
-    Return the length of the rest of x.
+    W (m, n) and sigma (m,) are as `modes` wrote them. Returns the length of what is left of x.
     """
     m, n = W.shape
     for c in range(m):
@@ -100,9 +102,9 @@ def leave_modes(W, sigma, r, x):
 
 @inner
 def lost_direction(W, sigma, away, v):
-    """Write to v (n,) the joint direction of a singular value of 0: `away` (n,) without the part that moves the tip.
+    """Write to v (n,) a unit joint direction that does not move the tip: `away` (n,) without the part that moves it.
 
-    Returns False if nothing is left of `away`.
+    W and sigma are as `modes` wrote them. Returns False if nothing is left of `away`.
     """
     copy(away, v)
     leave_modes(W, sigma, -1, v)
@@ -115,17 +117,17 @@ def lost_direction(W, sigma, away, v):
 
 @inner
 def bring_along(v, x, value, share):
-    """Move the component of x (n,) along the joint direction v (n,) towards `value`, by a share of the difference."""
+    """Change the component of x (n,) along the unit vector v (n,) towards `value`, by the given share of the difference."""
     n = x.shape[0]
     add_multiple(x, share * (value - dot(v, x, n)), v, n)
 
 
 @inner
 def mode_probe(v, rate, part, h, x):
-    """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along v (n,).
+    """Write to x (n,) a joint motion for which the curvature of the tip's path is needed; return the joints' rate along v (n,).
 
-    part: ALONG for v itself; BESIDE for the joints' move in a step of h [s] without its part along v; BOTH for the sum of
-    these two.
+    rate (n,): present joint rates. part: ALONG for v itself; BESIDE for the joints' move in a step of h [s] without its part along
+    v; BOTH for the sum of these two.
     """
     n = x.shape[0]
     own = dot(v, rate, n)
@@ -140,11 +142,12 @@ def mode_probe(v, rate, part, h, x):
 
 @inner
 def way_along(sigma, b, E, own, side, home, h):
-    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or comes nearest, and D (< 0: E is unreachable).
+    """Return the move y along a joint direction v_k that moves the tip by E along u_k, or as nearly as it can.
 
-    There are two solutions, one on each side of the singular pose. The result is the one towards which the joints already move
-    (own: their move along v_k in a step). If they rest at the singular pose, or with `home`, it is the one on the side from which
-    they came (side > 0: the side to which v_k points).
+    sigma and b: tip motion and curvature along u_k per unit of y, so that sigma y + b y^2 / 2 = E is solved. Also returned is the
+    discriminant D, negative if E is out of reach. There are two solutions, one on each side of the singular pose. The result is the
+    one towards which the joints already move (own: their move along v_k in a step). If they rest at the singular pose, or with
+    `home`, it is the one on the side from which they came (side > 0: the side to which v_k points).
     """
     D, kept = sigma * sigma, own
     if abs(b) > WEAK.flat:
@@ -170,8 +173,8 @@ def way_along(sigma, b, E, own, side, home, h):
 def mode_moved(u, e, ahead, f, h):
     """Return the target's motion along the task direction u (m,) in a step of h [s].
 
-    It is the difference between the errors ahead and e. If the error is large, it is h times the twist f instead, since
-    large rotations do not add like vectors.
+    It is the difference between the errors to the target at the end of the step, `ahead`, and now, `e`. If the error is large, it
+    is h times the target's twist f instead, since large rotations do not add like vectors.
     """
     m = e.shape[0]
     if dot(e, e, m) > WEAK.close * WEAK.close:
@@ -181,9 +184,10 @@ def mode_moved(u, e, ahead, f, h):
 
 @inner
 def mode_direction(W, sv, r, away, way, v):
-    """Write the joint direction v_r of singular value r to v (n,); return False if there is none to move along.
+    """Write to v (n,) the unit joint direction that belongs to singular value r; return False if there is none to move along.
 
-    For sigma_r near 0 it is `away` (n,) without what moves the tip, and there is none unless a tip motion `way` is asked for.
+    W (m, n) and sv (m,) are as `modes` wrote them. For a singular value near 0 the direction is `away` (n,) without what moves the
+    tip, and there is none unless a tip motion, `way`, is asked for.
     """
     clear(v)
     if sv[r] > WEAK.zero:
@@ -194,7 +198,10 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_curved(W, v, sigma, r, away, x):
-    """Write to x (n,) the joint direction that `bent_direction` starts from: `away` (n,) less what moves the tip, or v (n,)."""
+    """Write to x (n,) the joint direction from which the search of `bent_direction` starts.
+
+    It is `away` (n,) without what moves the tip along task directions other than u_r or, if little is left of it, v (n,).
+    """
     copy(away, x)
     size = leave_modes(W, sigma, r, x)
     for i in range(x.shape[0]):
@@ -203,12 +210,12 @@ def begin_curved(W, v, sigma, r, away, x):
 
 @inner
 def bent_direction(W, v, sigma, r, slope):
-    """Make v (n,) the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
+    """Turn v (n,), the joint direction of a singular value sigma_r near 0, to where a joint motion curves the tip's path along u_r.
 
-    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
-    to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
-    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_curved` wrote (one
-    step of a power iteration).
+    A stretched redundant arm has two joint directions that hardly move the tip, and v may be any mixture of them. Only the one
+    along which the tip's path is curved can bring the tip nearer. The gradient of sigma_r, slope (n,), points along it: entry i is
+    the component along u_r of (dJ/dt along x) for a motion of joint i alone, where x is what `begin_curved` wrote (one step of a
+    power iteration). W and sigma are as `modes` wrote them. Returns the tip's motion along u_r per unit of motion along the new v.
     """
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
@@ -222,9 +229,10 @@ def bent_direction(W, v, sigma, r, slope):
 
 @inner
 def take_out(J, W, U, V, lost, f, G):
-    """Remove the task directions marked in lost (m,) from J and the twist f; return how many were removed.
+    """Remove the task directions marked by 1 in lost (m,) from the Jacobian J (n, m) and the target's twist f (m,).
 
-    G receives the factor of the rest of J for `laws.apply`.
+    W (m, n) and U (m, m) are as `modes` wrote them; V (m, n): joint directions of those removed. G receives the factor of the rest
+    of J for `laws.apply`. Returns how many directions were removed.
     """
     n, m = J.shape
     count = 0
@@ -242,7 +250,7 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[r, c] * V[r, d]
-    if not wide:  # Otherwise a joint that moves nothing would make the matrix singular.
+    if not wide:  # Without this addition a joint that moves nothing would make the matrix singular.
         for c in range(k):
             G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
@@ -251,9 +259,10 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Rewrite the task (J and the rates `ask`) along the directions u_k that are kept, which makes the rows independent.
+    """Rewrite the task, J (n, m) and the rates ask (m,), along the task directions u_k that are kept, so that rows are independent.
 
-    An error of weight 0 keeps a direction of its own if `modes` began without the directions of another task.
+    W, U: as `modes` wrote them; lost (m,): 1 for a direction that is removed; y (m,): scratch. An error of weight 0 keeps a
+    direction of its own if `modes` was started with zeros in `near`.
     """
     n, m = J.shape
     if not any_of(lost):
@@ -268,12 +277,14 @@ def by_modes(J, W, U, lost, ask, y):
 
 @inner
 def hold_back(U, sigma, lost, bend, e, ahead, f, more):
-    """Shrink error and twist along the task directions that are kept, by as much as an error along removed (lost) ones remains.
+    """Damp the correction of errors that can be closed while another error cannot, as it is along directions removed from the task.
 
-    bend is the largest curvature of the tip's path. bend times the remaining error adds to sigma_k^2 in the second derivative of
-    the squared error, so undamped steps J^+ e would overshoot to and fro for ever; the shrinking is that of Levenberg-Marquardt.
-    Only the remaining error of the tips that a direction moves counts, so that one stretched arm does not hold back another. The
-    motion of a target that passes beyond the edge is shrunk, too, as the closest pose moves less. more (m,) is scratch.
+    Along each direction u_k that is kept, e, ahead and the target's twist f (m,) are multiplied by sigma_k^2 / (sigma_k^2 + bend r)
+    (Levenberg-Marquardt). Here r is the error that cannot be closed, and bend the largest curvature of the tip's path. The second
+    derivative of the squared error is sigma_k^2 + bend r, so undamped steps J^+ e would overshoot to and fro for ever. Only r of
+    the tips that u_k moves counts, so that one stretched arm does not slow down another. The twist is damped as well, because the
+    closest pose moves less than a target beyond the edge of the reach. U (m, m): rows u_k; sigma (m,): singular values; lost (m,):
+    1 for a direction that is removed; more (m,): scratch.
     """
     m = lost.shape[0]
     clear(more)
@@ -298,7 +309,10 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
 
 @inner
 def along_lost(V, lost, xk, x, speeds):
-    """Set the components of the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
+    """Set the components of the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0.
+
+    V (m, n): joint direction of each singular direction; lost (m,): 1 for a direction that is removed.
+    """
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V[r], x, xk[r] if speeds > 0.0 else 0.0, 1.0)
@@ -306,11 +320,11 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set the part of the rates x (n,) along slope_k to pull[k] slope_k, which reduces the error, or to 0 if `speeds` is 0.
+    """Let the joints go on closing the error along directions that `bent_direction` has turned, with the part of v_k that it drops.
 
-    slope_k is the part of sigma_k v_k that is perpendicular to V_k, the direction that replaces v_k (see `bent_direction`).
-    pull (m,): rates per unit of slope_k; if pull[k] is 0, the rates stay. The change is faded in while sigma_k grows from half of
-    WEAK.lost to WEAK.lost.
+    slope_k is the part of sigma_k v_k (row k of W) that is perpendicular to V_k, the direction that replaces v_k (row k of V). The
+    component of the rates x (n,) along slope_k becomes pull[k] slope_k, or 0 if `speeds` is 0; if pull[k] is 0, x stays. The change
+    is faded in while sigma_k grows from half of WEAK.lost to WEAK.lost.
     """
     n = x.shape[0]
     for r in range(pull.shape[0]):

@@ -50,8 +50,8 @@ BEST = {
 class DefaultGains(NamedTuple):
     """The gains whose default does not depend on the sample time."""
 
-    gamma: float = 0.6  # of method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; set by hand
-    share: float = 1.0  # the whole error, as published
+    gamma: float = 0.6  # new rate's weight in method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; set by hand
+    share: float = 1.0  # share of the error that a step of av, aa or aad removes; 1 as published
 
 
 DEFAULT = DefaultGains()
@@ -138,9 +138,9 @@ def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> n
 
 
 def feedback_column(A: np.ndarray) -> np.ndarray:
-    """Return the part of a mapping matrix's first column that is feedback of the measured position.
+    """Return the feedback part (k,) of the first column of A (k, k), a matrix of `mapping_matrix` for one joint.
 
-    The rest of that column carries the position itself over.
+    It says how the measured position enters the next state; the rest of the column carries the position itself over.
     """
     return A[:, 0] - np.eye(len(A))[0]
 
@@ -169,10 +169,10 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     while np.abs(power).max() > 1e-20:
         P = P + power @ P @ power.T
         power = power @ power
-    # In these methods the rate is a state of its own; if it zigzags, it can exceed the motion of a step.
+    # In these methods the rate is part of the state; if it zigzags, it can exceed the motion of a step over h.
     if method in ("ca", "aa", "aad"):
         return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
-    move = M[0] - np.eye(len(M))[0]  # motion to the next sample as a row, without the direct effect of the noise
+    move = M[0] - np.eye(len(M))[0]  # row that gives the next motion from the state; B[0] is the noise's own share
     return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
 
 
@@ -221,7 +221,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     It is 0 if they are stable at no sample time. delay: age of the measured position in samples, whatever the sample time.
     """
     if delay and method in ("cv", "ca"):
-        low, high = 0.0, longest_step(method, **gains)  # A delay can only shorten the longest step.
+        low, high = 0.0, longest_step(method, **gains)  # With a delay the longest step is not longer than without.
         for _ in range(50 if high > 0.0 else 0):
             middle = 0.5 * (low + high)
             stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
@@ -269,7 +269,7 @@ class GainCheck:
 
 
 def complete(method: str, gains: dict[str, float]) -> dict[str, float]:
-    """Return the gains of a method with those added that have a default. Raises InvalidOption for an unknown name."""
+    """Return the given gains of a method, completed by defaults where it has them. Raises InvalidOption for an unknown name."""
     one_of(method, GAINS, "tracking method")
     for name in gains:
         if name not in GAINS[method]:
@@ -335,7 +335,7 @@ def check_gains(
             else " Noise on the measured positions grows without bound."
         )
     found = None
-    # Gains that a higher sample rate makes stable at rest may need a still higher rate along the path.
+    # Gains that are unstable at rest only at this sample rate are judged along the path, too, which may need a still higher rate.
     rescued = path is not None and verdict != "stable" and 0.0 < longest < math.inf and not delay
     if verdict != "stable" and not rescued:
         message += _way_out(method, best, longest, delay)

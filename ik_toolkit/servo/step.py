@@ -23,8 +23,8 @@ class StatusThresholds(NamedTuple):
     angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
     at_rest: float = 1e-3
-    # A joint slower than this share of its speed limit does not move at all: for an error worth reporting (`position`), even a gain
-    # of 0.1/s would ask for a share of about 1e-4.
+    # A joint slower than this share of its speed limit counts as not moving at all. To close an error worth reporting (`position`)
+    # even a gain of 0.1/s would ask for a share of about 1e-4.
     resting: float = 1e-6
     falling: float = 0.2  # The tip comes nearer if the error falls by this share of what feedback would remove.
     rounding: float = 1e-6  # share by which an error may exceed what the target's own motion explains
@@ -61,7 +61,7 @@ class StepStatus(Enum):
 
 
 class StatusContext(NamedTuple):
-    """Data for the status of a step that are the same for all steps of a tracker."""
+    """What the status of a step depends on besides the step: the same for all steps of a tracker."""
 
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
@@ -88,8 +88,8 @@ class Outcome(NamedTuple):
     lag: float
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
-    # On a move to another posture: names of the joints whose limits caused it. On the way to a target that jumped: the way chosen.
-    # Otherwise None.
+    # on a move to another posture: names of the joints whose limits caused it; on the way to a target that jumped: the way chosen;
+    # else None
     way: tuple[str, ...] | Choice | None
 
 
@@ -245,10 +245,7 @@ class Step:
             (BIT.velocity, "speed limit on"),
             (BIT.acceleration, "acceleration limit on"),
             (BIT.calmed, "kept from swinging or overshooting:"),
-            (
-                BIT.row,
-                f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",
-            ),
+            (BIT.row, f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows"),
         )
         for bit, name in words:
             held = [j for j, c in zip(o.by.robot.joint_names, o.code, strict=True) if c & bit]

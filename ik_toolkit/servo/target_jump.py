@@ -27,15 +27,17 @@ STRAIGHT = 1.2
 
 
 class JumpThresholds(NamedTuple):
-    """Thresholds by which a joint move or a straight line takes over from the tracking method, and hands back to it."""
+    """Thresholds that decide when a joint move or a straight line replaces the tracking method, and when it ends."""
 
     # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
     points: int = 24
     torn: float = 4.0  # A line that takes this many times as long as a joint move must contain a change of posture.
     near: float = 2e-3  # [m] An error smaller than this (1 rad counts as length_scale) is left to the tracking method.
-    # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
+    # A tracking method counts as hindered if more than this share of an error is left after a step; its best gains leave a third at
+    # most.
     slow: float = 0.5
-    # The posture that moves slow joints less is chosen if its move takes less than this share of the time.
+    # Of two postures, the one found with slow joints made costly is taken if its move takes less than this share of the other's
+    # time.
     sooner: float = 0.5
     close: float = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
@@ -70,12 +72,12 @@ class Route(NamedTuple):
 class Choice(NamedTuple):
     """The way chosen to a target that jumped: a straight line of the tip, or a joint move."""
 
-    straight: bool  # whether the tip moves in a straight line
+    straight: bool  # whether the straight line of the tip was chosen
     ratio: float  # duration of the straight line over that of the direct joint move; inf if there is no line
 
 
 class Leap:
-    """Leads a tracker to a target that jumped.
+    """Moves the joints of a tracker to a target that jumped, in place of the tracking method.
 
     goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes (straight line or
     joint move), and the ratio of both durations (Choice).
@@ -112,12 +114,13 @@ class Leap:
             return
         if taken.left < LEAP.slow * self.postures.size(taken.E[0]):
             return
-        # A target that came here smoothly may be turning back, so the arm waits.
+        # A target that did not jump but moved here smoothly may be about to turn back, so no move begins until it has rested.
         if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < ARRIVAL.wait:
             return
         self._place = T[1].copy()
-        # If the target came here smoothly and a joint is at its limit, only another posture can reach further; `Reconfiguration`
-        # finds it. An operator who locks a joint wants no large moves.
+        # If the target moved here smoothly and a joint is at its limit, only another posture can reach further, and
+        # `Reconfiguration` searches for one. With a locked joint no move is made, as an operator who locks one wants no large
+        # moves.
         if (not taken.stand[STAND.jumped] and (taken.code & BIT.position).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
@@ -198,7 +201,7 @@ class Leap:
 def ways(
     postures: Postures | None, chosen: bool, straight: Any, reconfigure: Any, world: Any
 ) -> list[Leap | Reconfiguration]:
-    """Return the objects that lead a tracker's joints where its method fails or is slow; none if postures is None.
+    """Return the objects that move a tracker's joints where its method fails or is slow; none if `postures` is None.
 
     chosen: whether the caller chose the method's gains; straight, reconfigure: options of `Tracker`; world: a CollisionModel or
     None. Raises InvalidOption.
@@ -212,10 +215,11 @@ def ways(
 
 
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
-    """Return the fastest motion through points (K + 1, n), from joint rates (n,) to rest, inside limits (4, n).
+    """Return the fastest joint motion through points (K + 1, n), from joint rates rate (n,) to rest, inside limits (4, n).
 
-    It is None if two neighbouring points coincide. The path coordinate is time [s] at full speed: the length of a segment is the
-    time that its slowest joint needs at that joint's speed limit, so the rate of the coordinate is at most 1.
+    gamma: weight of the new rate in a step. The result is None if two neighbouring points coincide. The path coordinate is time [s]
+    at full speed: the length of a segment is the time that its slowest joint needs at that joint's speed limit, so the rate of the
+    coordinate is at most 1.
     """
     top, a = speeds(limits), (1.0 - MARGIN.held_back) * limits[LIMIT.acceleration] / bending(gamma)
     d = np.diff(points, axis=0)

@@ -25,7 +25,7 @@ from .workspace import Samples, new_samples, samples_from, samples_of
 
 
 class TargetCodes(NamedTuple):
-    """What is known of a new target, given to `arrive` and returned by it."""
+    """Codes for how far a new target has been checked (given to `arrive`) and whether it is accepted (returned by it)."""
 
     fine: int = 0  # given: the target has been checked; returned: it is accepted
     doubtful: int = 1  # given: the target has not been checked; returned: Python has to check it in full
@@ -80,7 +80,7 @@ def finite(A):
 
 @inline
 def axes_of(T):
-    """Return the rotation of a pose (4, 4) as an M3, a 3x3 matrix of scalars."""
+    """Return the rotation of a pose (4, 4) as an M3, a record of nine numbers, which compiled code handles faster than an array."""
     return M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
 
 
@@ -93,7 +93,7 @@ def turn_left(T0, T1):
 
 @inner
 def replace(T, V, A, source, place):
-    """Copy sample `source` (pose, twist, acceleration) to sample `place`."""
+    """Copy poses T, twists V and accelerations A (rows: samples) from row `source` to row `place`."""
     copy(flat(T[source]), flat(T[place]))
     copy(V[source], V[place])
     copy(A[source], A[place])
@@ -124,7 +124,7 @@ def distance_between(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update `stand` (5 + 16 F,), which says whether the target stands still; T (2, F, 4, 4): last two targets, dt [s] apart."""
+    """Update stand (5 + 16 F,), see `RestState`, after a new target; T (2, F, 4, 4): the last two targets, dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = distance_between(now, flat(T[0]), 0), ARRIVAL.still * dt / ARRIVAL.wait
     if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > ARRIVAL.still:
@@ -200,12 +200,12 @@ class Stream(CopiesViews):
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:] = np.eye(4)
-        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether the target stands still, see `RestState`
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether and where the target stands still, see `RestState`
         self._cut()
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        # longest recent time between two targets [s]; after that one, the longest time [s] and the number of targets
+        # [s] longest recent time between two targets; and since those two the longest such time [s] and the number of targets
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
@@ -218,16 +218,16 @@ class Stream(CopiesViews):
         self.pace = 0.0
 
     def look_anew(self) -> None:
-        """Forget the pose at which the target stood still, so that it counts as having jumped when it next stands still."""
+        """Forget where the target stood still; when it next stands still, it counts as having jumped there."""
         self.stand[:] = 0.0
         self.stand[STAND.jumped] = 1.0
         self.unseen = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target to sample `slot`: 0 (now) or 1 (end of the step); return False if it is not finite.
+        """Read a target and write it to sample `slot`: 0 (now) or 1 (end of the step); return whether it is finite.
 
-        If it is not, the last target is kept. twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target.
-        Raises InvalidTarget.
+        If it is not finite, the last target is kept. twist, acceleration: as in `Tracker.update`; dt [s]: time since the last
+        target. Raises InvalidTarget.
         """
         if dt >= self.pace:
             self.pace, self._second, self._count = dt, 0.0, 0
@@ -251,7 +251,7 @@ class Stream(CopiesViews):
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
-        """Note that the step is taken, so that the next target becomes the last one as soon as a new target arrives."""
+        """Note that a step was taken to the next target, which then becomes the last one when another target arrives."""
         self._moved = 1
 
     def divided(self, parts: int) -> list[Samples]:

@@ -117,7 +117,7 @@ class Tracker(CopiesViews, ReadOnly):
         n, m = robot.n, 6 * self.stream.tips
         moves = bool(limits) and self._mode == MODE.direct
         self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
-        # Each of these objects leads the joints where the tracking method fails or is slow.
+        # objects that move the joints in place of the tracking method where that fails or is slow
         self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
@@ -125,11 +125,9 @@ class Tracker(CopiesViews, ReadOnly):
         self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
-        self._ordered: tuple = ()  # arguments of the last call of `_order`, which does nothing if they have not changed
+        self._ordered: tuple = ()  # arguments of the last call of `_order`, which is called only if they have changed
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = (
-            None  # what led the last step: a joint move, or None for the tracking method
-        )
+        self._goes: Leap | Reconfiguration | None = None  # what made the last step in place of the method, if anything
         self.reset(q0, rate0=rate0)
         self._seal()
 
@@ -149,7 +147,7 @@ class Tracker(CopiesViews, ReadOnly):
             one, other = self._touching
             raise InvalidConfiguration(f"at q0 '{one}' touches '{other}'; start where nothing touches")
         self._late = self._longest
-        if self.secondary.cost is not None:  # an invalid cost raises an error now, and not later in a control loop
+        if self.secondary.cost is not None:  # An invalid cost must raise its error here, not later in a control loop.
             self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:
@@ -242,7 +240,7 @@ class Tracker(CopiesViews, ReadOnly):
             stream.unseen += dt
             left = self._postures.size(self._error)
             behind = left >= REACHED
-            # Most steps need no examination: they end at their target, or follow a moving one unhindered.
+            # Most steps end at their target, or follow a moving one unhindered, and need not be examined.
             if (lost or stream.stand[STAND.still] or (code & BIT.position).any()) if behind else self._behind:
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
@@ -272,7 +270,7 @@ class Tracker(CopiesViews, ReadOnly):
         goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
         if guard and goes:
             guard.late = late
-            guard.rows(q, rate, h)  # This also notices obstacles that were added or moved.
+            guard.rows(q, rate, h)  # Only its side effect is needed: it notices obstacles that were added or moved.
             next_q, next_rate = self._carried.motion * self._units
             goes = guard.allows(q, rate, next_q, next_rate, h)
             if not goes:
@@ -313,7 +311,7 @@ class Tracker(CopiesViews, ReadOnly):
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
-        """Write the settings that depend on the kinds of target, one per tip. Raises InvalidOption for slack in mode "clip"."""
+        """Get ready for a target of kind KIND.pose or KIND.position per tip. Raises InvalidOption for slack in mode clip."""
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)
@@ -333,25 +331,25 @@ class Tracker(CopiesViews, ReadOnly):
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:
-        """Return a copy of the state that is carried from step to step."""
+        """Return a copy of all that a step takes over from the one before (`Carried`), as one flat array."""
         return self._carried.block.copy()
 
     def put_back(self, kept: np.ndarray) -> None:
-        """Restore a state that `carried` returned."""
+        """Go back to an earlier state of the tracker, which `carried` returned."""
         self._carried.block[:] = kept
 
     def run(
         self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
-        """Take as many steps of h [s] as `out` has room for; return how many were taken."""
-        # If gains were chosen for the length of each single step, method ca would oscillate where step lengths differ.
+        """Take as many steps of h [s] towards the targets in `samples` as `out` has room for; return how many were taken."""
+        # Gains chosen for the length of each single step would make method ca oscillate where step lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
-        if self.secondary.each_step and len(out.E) > 1:  # Without a step no secondary motion is needed.
+        if self.secondary.each_step and len(out.E) > 1:  # With room for one sample no step is taken.
             self.secondary.look(self._q)
         chain = self.robot.chain
         return self.engine.loop(
@@ -367,11 +365,11 @@ class Tracker(CopiesViews, ReadOnly):
 
     @property
     def one_by_one(self) -> bool:
-        """Whether something must be evaluated before every step."""
+        """Whether steps must be taken singly, because a cost or distances to obstacles are evaluated before each of them."""
         return self.secondary.each_step or self._guard is not None
 
     def take(self, samples: Samples, h: float, out: Record, *, brake: bool = False, **how: Any) -> int:
-        """Take a step as `run` does, or brake if it could end in a contact; return how many were taken."""
+        """Take steps as `run` does; beside obstacles a single one, or brake if it could end in a contact. Return how many."""
         guard, unit = self._guard, self.robot.chain.unit
         if guard is None:
             return self.run(samples, h, out, brake=brake, **how)

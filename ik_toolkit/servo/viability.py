@@ -25,15 +25,14 @@ from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
-UNLIMITED = (
-    1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; set by hand
-)
+# [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; set by hand
+UNLIMITED = 1.0
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 
 @compiled
 class LimitBits(NamedTuple):
-    """Bits of `code`: why a joint did not move as commanded."""
+    """Bits that say why a joint did not move as commanded: which of its limits was active, or what else."""
 
     position: int = 1
     velocity: int = 2
@@ -68,10 +67,10 @@ class OscillationThresholds(NamedTuple):
     reversals: float = 2.0  # number of consecutive reversals after which a joint counts as oscillating
     window: float = 0.05  # [s] longest time between two of these reversals
     hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    lasting: float = 0.2  # [s] of slowing such joints after a limit, an inequality or a singular pose hindered them
-    # [1/s] An oscillating joint may gain speed at this rate times its speed limit, plus `growth` times its speed.
+    lasting: float = 0.2  # [s] for which oscillating joints are slowed after a limit or singular pose hindered them
+    # [1/s] An oscillating joint may gain speed at no more than this factor times its speed limit, plus `growth` times its speed.
     gain: float = 0.75
-    growth: float = 10.0  # [1/s] factor of a joint's speed in the bound that `gain` describes
+    growth: float = 10.0  # [1/s] factor of a joint's present speed in the bound on how fast it may gain speed
 
 
 BIT, MARGIN, CALMING = LimitBits(), LimitMargins(), OscillationThresholds()
@@ -89,7 +88,7 @@ class RateBox(NamedTuple):
 
 @inline
 def box_of(s):
-    """Return the bounds on the joint rates, views of the scratch arrays `s` of a step."""
+    """Return the bounds on the joint rates as a `RateBox`, whose arrays are those of s, the scratch arrays of a step."""
     return RateBox(s.floor, s.roof, s.why_low, s.why_top)
 
 
@@ -104,7 +103,7 @@ def bending(gamma):
 
 @dual
 def stopping(v, gamma, a, late):
-    """Return a joint's longest stopping distance from rate v >= 0 with deceleration a, in steps of up to late [s]."""
+    """Return the longest stopping distance from v >= 0 at deceleration a in steps up to late [s]; gamma: new rate's weight."""
     if gamma == 1.0:
         return v * v / (2.0 * a)
     way = 0.5 * v * late if v <= 0.5 * a * late else v * v / (2.0 * a) + 0.125 * a * late * late
@@ -115,8 +114,8 @@ def stopping(v, gamma, a, late):
 def approach(distance, v, gamma, h, a, late):
     """Return the highest next rate after which a joint can still stop within `distance`.
 
-    v: present rate towards the limit; h [s]: this step; a: deceleration; late [s]: longest later step. The result is
-    negative if the joint cannot stop within the distance even now.
+    v: present rate towards the end of that distance; gamma: weight of the next rate in a step; h [s]: this step; a: deceleration;
+    late [s]: longest later step. The result is negative if the joint cannot stop within the distance even now.
     """
     if distance == np.inf:
         return np.inf
@@ -149,7 +148,7 @@ def way_to(limit, q, sign):
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
-    """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
+    """Return a joint's highest next rate towards a limit at the distance `way`; v: present rate in that direction.
 
     Outside the limit (way < 0) the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed
     limit, and so that it can stop at the limit.
@@ -172,9 +171,9 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     a = a / bend
     rise, fall = v + a * h, v - a * h
     fast, slow = speed, -speed
-    if bend > 1.0:  # The parabola ends at a rate beyond w, so w is bounded such that its end keeps the speed limit.
+    if bend > 1.0:  # A joint ends the step faster than its next rate w; the bound on w makes that end keep the limit.
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
-        # If the speed limit was lowered to near 0, no next rate keeps it; coming to rest is the fastest way to get below it.
+        # If the speed limit was lowered to near 0, no next rate keeps it; coming to rest is the quickest way back below the limit.
         if slow > fast:
             fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
@@ -200,17 +199,14 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
 @dual
 def boxes(q, rate, limits, gamma, h, late, box):
-    """Write the bounds on the next rate of every joint to `box`; return True if any joint has to return inside its limits.
+    """Write the bounds on the next rate of every joint to `box` (RateBox).
 
     q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration.
     """
-    recovering = False
     for i in range(q.shape[0]):
         lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
         found = joint_box(q[i], rate[i], lower, upper, speed, a, gamma, h, late)
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = found
-        recovering = recovering or (box.why_top[i] & BIT.recovering) > 0
-    return recovering
 
 
 @shared
@@ -237,7 +233,7 @@ def watch(swings, rate, x, size, gamma, h):
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the bounds of joint i in `box`, in place, to the rates from least to most; if none is left, to the nearest bound."""
+    """Narrow the rate bounds of joint i in `box` (RateBox) to the range from least to most; outside it, to the nearest bound."""
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
@@ -262,24 +258,21 @@ def calm(rate, size, swings, h, box):
 
 @dual
 def clip(x, box, code):
-    """Clip the desired rates x (n,) in place to their bounds, each joint on its own; return True if any limit was active.
+    """Clip the desired rates x (n,) in place to their bounds in `box` (RateBox), each joint on its own.
 
     code (n,) receives for each joint the bits of the limit that held it back, 0 for none.
     """
-    hit = False
     for i in range(x.shape[0]):
         code[i] = box.why_top[i] & BIT.recovering
         if x[i] > box.roof[i]:
             x[i], code[i] = box.roof[i], box.why_top[i]
         elif x[i] < box.floor[i]:
             x[i], code[i] = box.floor[i], box.why_low[i]
-        hit = hit or code[i] > 0
-    return hit
 
 
 @dual
 def move(q, rate, x, gamma, h):
-    """Integrate one step of h [s] in place: q and rate (n,) move on to the next rates x (n,), weighted by gamma."""
+    """Take one step of h [s]: joint values q and rates rate (n,) change in place as the next rates x (n,) with weight gamma say."""
     for i in range(q.shape[0]):
         q[i] += h * x[i] if gamma == 1.0 else h * ((1.0 - gamma) * rate[i] + gamma * x[i])
         rate[i] = x[i]
@@ -287,16 +280,16 @@ def move(q, rate, x, gamma, h):
 
 @jit
 def advance(q, rate, x, gamma, h, late, limits, code):
-    """Take one step in place towards the desired rates x (n,), each joint clipped on its own; return True if a limit was active.
+    """Take one step in place towards the desired rates x (n,), each joint clipped on its own inside limits (4, n).
 
-    If x is 0, the joints brake. code (n,) receives the bits of the limits that held each joint back.
+    If x is 0, the joints brake. gamma: weight of the new rate; h [s]: this step; late [s]: longest later one. code (n,) receives
+    the bits of the limits that held each joint back.
     """
     ends, why = np.empty((2, q.shape[0])), np.empty((2, q.shape[0]), np.uint8)
     box = RateBox(ends[0], ends[1], why[0], why[1])
     boxes(q, rate, limits, gamma, h, late, box)
-    hit = clip(x, box, code)
+    clip(x, box, code)
     move(q, rate, x, gamma, h)
-    return hit
 
 
 @cached_small
@@ -373,10 +366,9 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
 def brake(first, gamma, h, late, limits, Q, R, L):
     """Write the path of braking to rest after row `first`; return the index of the row in which all joints rest (at least 1).
 
-    Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K, n)
-    receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too few. Each joint brakes
-    as in `advance` with x = 0, inside limits (4, n), so that limits also hold if later steps last up to late [s]. Joint values are
-    in the units of the limits.
+    Q, R (K, n): joint values and rates at steps of h [s], in the units of the limits, given up to row `first`; the rows after it
+    are written. L (K, n) receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too
+    few. Each joint brakes as in `advance` with x = 0, inside limits (4, n), which also hold if later steps last up to late [s].
     """
     n = Q.shape[1]
     x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()

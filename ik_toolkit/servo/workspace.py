@@ -31,16 +31,19 @@ START = StepStart()
 
 
 class State(NamedTuple):
-    """Names for the entries of the array that a tracker's loop keeps between steps; STATE.start etc. are the indices."""
+    """Names for the numbers that a tracker's loop keeps between steps in one array; STATE.start etc. are their indices."""
 
     start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
     period: int  # length of the last step [s]
     stop: int  # why the loop ended, a code of `loop.STOP`
-    near: int  # at a singular pose 1 + time [s] for which the target still counts as out of reach; -1 after one, 0 before the first
+    # at a singular pose 1 + the time [s] for which the target still counts as out of reach; after such a pose -1, before the first
+    # 0
+    near: int
     share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
-    lowest: int  # value below which `share` is not lowered for now
+    lowest: int  # value below which the entry `share` must not be lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    stalled: int  # time [s] in which the weighted error did not fall; outside a damped descent only while joints are hindered
+    # time [s] in which the weighted error did not fall; outside a damped descent only the time in which joints are hindered counts
+    stalled: int
     turned: int  # joint reversals while there is no damped descent; the count fades with time
     free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
     pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
@@ -122,39 +125,42 @@ def settings_shapes(n, m, rows):
 
 @shared
 def carried_shapes(n, memory, rows, m):
-    """Return the shapes of the arrays in Carried (state between steps); int8 arrays are counted in floats of eight bytes."""
+    """Return the shapes of the arrays in Carried; int8 arrays are counted in floats of eight bytes.
+
+    n: number of joints; memory: numbers that the method keeps; rows: inequalities; m: errors.
+    """
     return (2, n), memory, (3, n), n, (m, m), len(STATE), (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
 def samples_shapes(N, F):
-    """Return the shapes of poses, twists and accelerations of F targets at N samples."""
+    """Return the shapes of the arrays in Samples: poses, twists and accelerations of F targets at N samples."""
     return (N, F, 4, 4), (N, 6 * F), (N, 6 * F)
 
 
 @shared
 def record_shapes(N, n, m):
-    """Return the shapes of the result arrays for N samples, n joints and m errors; the uint8 array is counted in floats."""
+    """Return the shapes of the arrays in Record for N samples, n joints and m errors; its uint8 array is counted in floats."""
     return (N, n), (N, n), (N, m), N, ((N - 1) * n + 7) // 8
 
 
 @shared
 def head(block):
-    """Return the first three sizes at the head of a block, and mark the block as not yet divided."""
+    """Return the first three sizes that a block (K,) stores at its beginning; write there that no part of it is divided yet."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
 
 @shared
 def settings_of(block):
-    """Return views of a flat array (K,), whose head holds n, m, rows, as the fields of Settings."""
+    """Return Settings whose arrays are parts of the flat array block (K,), which stores their sizes n, m, rows at its beginning."""
     n, m, rows = head(block)
     return Settings(block, *cut(block, np.float64, settings_shapes(n, m, rows)))
 
 
 @shared
 def carried_of(block):
-    """Return views of a flat array (K,), whose head holds n, memory, rows, m, as the fields of Carried."""
+    """Return Carried whose arrays are parts of the flat array block (K,), which stores n, memory, rows, m at its beginning."""
     n, memory, rows = head(block)
     shapes = carried_shapes(n, memory, rows, int(block[4]))
     motion, own, swings, away, basis, state, active, kept = cut(block, np.float64, shapes)
@@ -165,14 +171,14 @@ def carried_of(block):
 
 @shared
 def samples_of(block):
-    """Return views of a flat array (K,), whose head holds N, F, as the fields of Samples."""
+    """Return Samples whose arrays are parts of the flat array block (K,), which stores their sizes N, F at its beginning."""
     N, F, _ = head(block)
     return Samples(block, *cut(block, np.float64, samples_shapes(N, F)))
 
 
 @shared
 def record_of(block):
-    """Return views of a flat array (K,), whose head holds N, n, m, as the fields of Record."""
+    """Return a Record whose arrays are parts of the flat array block (K,), which stores their sizes N, n, m at its beginning."""
     N, n, m = head(block)
     Q, R, E, S, codes = cut(block, np.float64, record_shapes(N, n, m))
     return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
@@ -229,21 +235,21 @@ class Bench(NamedTuple):
     a: Array  # (m,) acceleration of the target
     ask: Array  # (m,) task rate asked of the joints
     bias: Array  # (m,) product of dJ/dt with joint rates
-    weight: Array  # (m,) weights of the errors; 1 once the errors are multiplied by them
-    heavy: Array  # (m,) largest weight at the level of each error, or the level's own weight once they are multiplied
+    weight: Array  # (m,) weights of the errors; 1 (or 0) once the errors have been multiplied by them
+    heavy: Array  # (m,) largest weight at the priority level of each error; the level's own weight once errors are weighted
     t: Array  # (m,) scratch
     y: Array  # (max(n, m),) scratch
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
     H: Array  # (max(n, m), max(n, m)) factor for corrections that are damped because limits block them, see `laws.ease`
     J: Array  # (n, m) transposed Jacobian of the task
     W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
-    V: Array  # (m, n) v_k of the singular directions as rows
+    V: Array  # (m, n) joint directions of the singular directions, one a row
     free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
     U: Array  # (m, m) task directions u_k of the singular values, one a row
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
-    pull: Array  # (m,) rates per unit of slope for `down_slopes`
+    pull: Array  # (m,) joint rates per unit of slope, see `singular_step.down_slopes`
     flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
@@ -266,13 +272,13 @@ class Bench(NamedTuple):
 
 @inline
 def bench_space(n, m, rows):
-    """Return the number of floats of the scratch arrays of a step; its matrices need less than 3 (n + m)^2."""
+    """Return how many floats are enough for the scratch arrays of a step, `Bench`; the matrices need less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
 @spliced
 def bench_on(block, n, m, rows):
-    """Return views of a flat array of zeros as the scratch arrays of a step."""
+    """Return the scratch arrays of a step for n joints, m errors and `rows` inequalities, cut from block, a flat array of zeros."""
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (

@@ -9,7 +9,7 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files outside folders that grow": 249,
+    "files outside folders that grow": 248,
     "public names defined in two files or more": 9,
     "file names used twice": 4,
     "functions of more than 9 parameters": 19,

@@ -87,12 +87,12 @@ def test_wishes_are_found_and_added():
     assert not command.desired_null_velocity(law(mode=MODE.clip), s, limits, wish, base)
     assert not command.desired_null_velocity(law(), s, limits, 0.0 * wish, base)
     old = s.at.copy()
-    assert command.shift_by_secondary(law(), None, s, limits, wish, base, 0.1)
+    assert command.shift_joints(law(), None, s, limits, wish, base, 0.1)
     np.testing.assert_allclose(s.at, old + 0.1 * s.g)
-    assert s.g.any() and not command.shift_by_secondary(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
+    assert s.g.any() and not command.shift_joints(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
     s.g[:] = 1.0
-    assert not command.shift_by_secondary(law(mode=MODE.clip), None, s, limits, wish, base, 0.1) and not s.g.any()
-    assert not command.skip_shift(None, None, None, None, None, None, None)
+    assert not command.shift_joints(law(mode=MODE.clip), None, s, limits, wish, base, 0.1) and not s.g.any()
+    assert not command.shift_joints(law(), command.Published(0.0), s, limits, wish, base, 0.1)
 
 
 class Bent:
