@@ -19,7 +19,7 @@ COLUMNS = ("\n%", "one attempt\n95 %", "\nus", "\n%", "with restarts\n95 %", "\n
 
 @options()
 class BenchOptions:
-    """Options for robots, solvers and targets."""
+    """Options for the robots, solvers and targets of `ik bench`."""
 
     robots: list[str] | None = argument(
         "ROBOT", "Names or URDF files; default hydrolek_7w.", default=None, complete=robots_like
@@ -47,7 +47,7 @@ class BenchOptions:
 
 @options("Output")
 class BenchOutput:
-    """Options for what is printed, written and drawn."""
+    """Options for the tables, files and charts of `ik bench`."""
 
     plot: Path | None = option("FILE", "Draw targets solved against time to a .png, .pdf or .svg file.", writes=PLOTS)
     csv_file: Path | None = same(TableOutput, "csv_file")

@@ -21,7 +21,7 @@ from ..text import comma_hint, decimal, numbers
 from .usage import UsageError, help_text, in_flags
 
 TIP = ("--tip", "--ee")  # both names of the option for a tip
-TARGET = ("xyz", "matrix")  # options that each give a whole target
+TARGET = ("xyz", "matrix")  # options that may be given only once, because each gives a whole target
 MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
 PLOTS = (".png", ".pdf", ".svg")
 REQUIRED = MISSING  # as a default, it makes an option or argument mandatory
@@ -43,7 +43,7 @@ def option(
 
     A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
     `--q "0.1 -0.2"` mean the same. panel: the group in the help, by default the class's. writes: suffixes of the file
-    that the option names and `ik` writes; an empty list allows any. complete: completes a word in the shell. needs: options
+    that the option names and `ik` writes; an empty list allows any. complete: lists what the shell offers. needs: options
     ("--retime", "--on-limit slow", an argument as "PAPER") without which it has no effect; one of them must be given, if
     the command has any of them.
     """
@@ -89,7 +89,8 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # making eq and repr takes time
+        # nothing uses eq and repr, and making them takes time
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         for one in _declared(made):
             info = one.metadata["info"]
             info.rich_help_panel = info.rich_help_panel or panel or "Options"
@@ -146,7 +147,7 @@ def add_commands(app: typer.Typer, module: Any) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- files
 def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """Return a check of an output path that reports foreseeable mistakes before the work starts."""
+    """Return a callback that checks an output path before the work starts: suffix, folder, and matplotlib if it is a plot."""
 
     def check(param: typer.CallbackParam, file: Path | None) -> Path | None:
         if file is None:
@@ -162,7 +163,7 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
 
 
 def numeric(kind: type) -> Callable[[typer.CallbackParam, Any], Any]:
-    """Return a reader of an option's number (kind: float or int), which raises InvalidOption for nan and what `decimal` refuses."""
+    """Return a callback that reads an option's text as a float or int (kind); it raises InvalidOption for nan and for text."""
 
     def read(param: typer.CallbackParam, given: Any) -> Any:
         if given is None:
@@ -193,22 +194,24 @@ def above_zero(value: float, name: str) -> float:
 
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
-    """A command that refuses several tips if it takes one, an output that is also an input, and two outputs to the same file."""
+    """Click's class for each command; it also refuses several tips where one is taken, and a file that is input and output, or two
+    outputs.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments. Raises InvalidOption."""
+        """Parse the words of the command line. Raises InvalidOption for a second target or tip, UsageError for unknown options."""
         several = {
             name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
         }
         args = _joined(args, several)
-        # The shell asks for a completion; an option at the end that still lacks its value would hide the arguments.
+        # When the shell asks for a completion, an option at the end that still lacks its value would stop the parser.
         if ctx.resilient_parsing:
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        # if several tips were accepted here, only the last would count
+        # click would use only the last of several tips
         if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):
             names = " or ".join(TIP)
             raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")
@@ -216,18 +219,18 @@ class Command(typer.core.TyperCommand):
             if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            # the parser gets a copy of the arguments, because it empties its list
+            # the parser gets a copy, because it empties its list
             return super().parse_args(ctx, [*args])
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
             raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
+        """Write the help text of this command."""
         formatter.write(help_text(self, ctx))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InvalidOption."""
+        """Run the command. Raises InvalidOption for an option without effect; errors of the library name options, not arguments."""
         self._require_effect(ctx)
         written = [
             ctx.params[one.name] for one in self.params if one.callback and isinstance(ctx.params[one.name], Path)
@@ -239,7 +242,7 @@ class Command(typer.core.TyperCommand):
             for word in value if isinstance(value, list | tuple) else [value]:
                 if not isinstance(word, str | Path) or any(word is output for output in written):
                     continue
-                # the part FILE of an argument SOLVER=FILE
+                # an argument SOLVER=FILE reads FILE
                 read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
@@ -272,7 +275,7 @@ class Command(typer.core.TyperCommand):
 
 
 def alone(option: str, others: dict[str, Any]) -> None:
-    """Raise InvalidOption if any of the others (values by names) is given beside an option that leaves them without effect."""
+    """Raise InvalidOption if any other option (values by option name) is given beside one that leaves it without effect."""
     given = [name for name, value in others.items() if value]
     if given:
         raise InvalidOption(f"{option} goes without {' and '.join(given)}")
@@ -285,7 +288,7 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     for position, word in enumerate(words):
         if word == "--":
             return [*joined, *words[position:]]
-        if collecting and joined[-1].endswith("="):  # the first number, which may follow "TIP:"
+        if collecting and joined[-1].endswith("="):  # this word is the first number, alone or as TIP:NUMBER
             joined[-1] += word
             continue
         if collecting and _like_a_number(word):

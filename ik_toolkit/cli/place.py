@@ -16,7 +16,7 @@ from .pictures import chart
 
 @options()
 class PlaceOptions:
-    """Options for the poses, the places allowed and what is written."""
+    """Options of `ik place`: the poses to reach, where the base may stand, and which files are written."""
 
     poses: list[str] = option(
         "[TIP:]FILE",

@@ -15,7 +15,7 @@ from .pictures import chart, show_scene
 
 @options()
 class ReachOptions:
-    """Options for the region, the orientations and what is written."""
+    """Options of `ik reach`: the region, the orientations asked for, and which files are written."""
 
     region: str | None = option("X Y Z X Y Z", "Lower and upper corner [m]; default: the box around the reach.")
     resolution: float | None = option("M", "Width of a cell [m]; default: a fortieth of the longest side.")
@@ -48,7 +48,7 @@ def reach(
 ) -> None:
     """Map what the tip reaches inside the limits: a cell is reached (with a configuration), proven out of reach, or undecided.
 
-    A sample of the undecided is tried again, and the share that proved reachable is stated. Ctrl-C keeps what is
+    A sample of the undecided cells is tried again, and the share of them that can be reached is stated. Ctrl-C keeps what is
     finished in FILE.partial; the same command continues from there, also after the process was killed.
 
     Examples:

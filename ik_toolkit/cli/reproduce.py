@@ -26,8 +26,8 @@ class ReproduceOptions(JsonOutput):
 def reproduce(asked: ReproduceOptions) -> None:
     """Recompute a paper: a report with tables and pictures, with every published number next to ours.
 
-    Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
-    numbers; times are of this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
+    Writes report.md, report.json and the pictures (PNG, with matplotlib). Only the published numbers are typed in; all others are
+    computed in this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
 
     Examples:
     ik reproduce
@@ -47,7 +47,7 @@ def reproduce(asked: ReproduceOptions) -> None:
     folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
-    folder.mkdir(parents=True, exist_ok=True)  # an output that cannot be written is refused before the work starts
+    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is refused before the work starts
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")

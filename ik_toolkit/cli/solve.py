@@ -76,11 +76,11 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Return the given options by name, as keyword arguments of the library's functions."""
+        """Return the options that are given as keyword arguments of `ik.solve`, without solver, parameters and preset."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
     def tuned(self, rule: Any) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset of a rule, if there is one."""
+        """Return the tolerance and iteration limit of the preset as keyword arguments of `ik.solve`; {} without --preset."""
         from ..solvers.presets import load_preset
         from ..solvers.registry import find_row
 
@@ -262,7 +262,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # A solve that starts at its solution compiles or loads the code, so that the displayed time does not include this.
+        # A first solve that starts at its solution compiles or loads the code, so that the time displayed is that of solving.
         solve_one(arm, at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -343,7 +343,7 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..solvers.message import unweighted
 
     robot = result.robot
-    # the errors are shown without weights, as in the message
+    # errors are shown in m and rad, without the weights of --mask, as in the message
     left = dict(zip(robot.tips, unweighted(result)[0], strict=True))
     where = dict.fromkeys(result.limited_joints, "at limit") | dict.fromkeys(robot.outside(result.q), "outside")
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")

@@ -14,7 +14,7 @@ TOLD = ("name", "summary", "handles", "citation")
 
 @options()
 class SolversOptions(TableOutput):
-    """Options for which solvers are listed."""
+    """Options of `ik solvers`: one solver to describe, or none to list all."""
 
     name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None, complete=solvers_like)
 

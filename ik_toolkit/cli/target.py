@@ -50,12 +50,12 @@ class TargetOptions:
 
     @property
     def oriented(self) -> bool:
-        """Return whether an option is given that adds an orientation to --xyz."""
+        """Whether --rpy or a quaternion is given, which adds an orientation to --xyz."""
         return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
 
     @property
     def posed(self) -> bool:
-        """Return whether an option is given that describes a single target."""
+        """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
         return self.xyz is not None or self.matrix is not None or self.oriented
 
     def check(self) -> None:
@@ -64,7 +64,7 @@ class TargetOptions:
             raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
 
     def read(self, deg: bool) -> Any:
-        """Return targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
+        """Return one target, or with --target a dict by tip; deg: if angles are degrees. Raises InvalidOption, InvalidTarget."""
         return self._several(self.targets, deg) if self.targets else self._single(deg)
 
     def _directions(self) -> tuple[Any, Any]:
@@ -127,7 +127,7 @@ class TargetOptions:
         return made
 
     def reached(self, arm: Any, deg: bool) -> Any:
-        """Return the target of --from-q: the pose (4, 4) of the tip at these joint values; for several tips a dict."""
+        """Return the pose (4, 4) [m] of the tip at the joint values of --from-q (degrees if `deg`), for several tips a dict."""
         at = arm.fk(joint_vector(arm, self.from_q, "--from-q", deg))
         return {tip: T.homogeneous for tip, T in at.items()} if isinstance(at, dict) else at.homogeneous
 
@@ -156,7 +156,7 @@ class CountOptions:
     )
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
-        """Return the given options by name, as keyword arguments of a solver; relative: --relative. Raises InvalidOption."""
+        """Return the given options as keyword arguments of a solver; relative: texts of --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
@@ -167,7 +167,7 @@ class CountOptions:
 
 
 def priorities(text: str | None) -> list[Any] | None:
-    """Return the levels of --priority as the option `priority` takes them."""
+    """Return the text of --priority as a solver's argument `priority`: levels, each a list of GROUP or (TIP, GROUP)."""
 
     def one(word: str) -> Any:
         tip, _, group = word.strip().rpartition(":")
@@ -206,7 +206,7 @@ def _axis(text: str) -> tuple[float, ...]:
 
 
 def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
-    """Return {TIP: OTHER} from TIP:OTHER: the target of TIP is given relative to OTHER. Raises InvalidOption."""
+    """Return texts TIP:OTHER of --relative as {TIP: OTHER}: the target of TIP is in the frame of OTHER. Raises InvalidOption."""
     found: dict[str, str] = {}
     for text in texts or ():
         tip, _, other = text.rpartition(":")
@@ -228,7 +228,10 @@ def _pose_of(x: Sequence[float]) -> Any:
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
-    """Return targets as poses or positions in the base frame; poses: those of the tips (dict of pin.SE3)."""
+    """Return a target, or a dict by tip, as pose or position in the base frame.
+
+    poses: where the tips are (pin.SE3 by tip), for targets relative to another tip; relative: {TIP: OTHER} of these.
+    """
     import numpy as np
 
     plain = getattr(target, "T_base_tip", target)
@@ -243,7 +246,7 @@ def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
 
 
 def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
-    """Return a target of the same form as the given one that the robot reaches at home."""
+    """Return the target that the robot reaches at home, as a position or pose like the given target."""
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
@@ -252,7 +255,7 @@ def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 
 def request(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return base, tip and target of a request for the JSON output; for several tips base, targets, and `relative_to` if given."""
+    """Return what was asked for the JSON output: base, tip and target; for several tips base, targets and `relative_to`."""
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}

@@ -17,7 +17,7 @@ from .workspace import WorkspaceOptions
 
 @options()
 class TunedRobot(WholeRobot):
-    """Options for the robot for which a solver is tuned."""
+    """Options for the robot for which a solver is tuned, without SRDF."""
 
     srdf: None = None
     group: None = None
@@ -25,7 +25,7 @@ class TunedRobot(WholeRobot):
 
 @options()
 class TuneOptions:
-    """Options for what is tuned, how, and what is written."""
+    """Options of `ik tune`: solver, search, targets, and which files are written."""
 
     solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.", complete=solvers_like)
     method: str = option("cma|pso", "CMA-ES or a particle swarm.", "-m", "--method", default="cma")

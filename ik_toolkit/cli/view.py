@@ -15,7 +15,7 @@ from .target import TargetOptions, in_base, relations
 
 @options()
 class ViewOptions:
-    """Options for what is shown."""
+    """Options of `ik view`: what is shown, and where."""
 
     q: str | None = option("Q1 Q2 ...", "Joint values to show; default: home.")
     motion: Path | None = option(
@@ -36,7 +36,7 @@ class ViewOptions:
 
 @options("Target")
 class ViewTarget(TargetOptions):
-    """Options for the target to solve for."""
+    """Options of `ik view` for the target that is solved for and shown."""
 
     xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
     rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].", needs=["--xyz"])
@@ -48,13 +48,13 @@ class ViewTarget(TargetOptions):
 
     @property
     def given(self) -> bool:
-        """Return whether a target is given."""
+        """Whether --xyz, --matrix or --target is given."""
         return self.xyz is not None or self.matrix is not None or bool(self.targets)
 
 
 @options("Start and preferences")
 class ViewSolve:
-    """Options for how the target is solved."""
+    """Options of `ik view` for the solver and its start."""
 
     solver: str = option(
         "NAME",
@@ -162,7 +162,7 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options:
 
 @options()
 class PanelOptions:
-    """Options for the robot and where the panel is served."""
+    """Options of `ik panel`: the robot, and the address at which the panel is served."""
 
     robot: str = same(RobotOptions, "robot", default="hydrolek_7w")
     tip: list[str] | None = same(RobotOptions, "tip")

@@ -17,7 +17,7 @@ LISTED = 10
 
 @options()
 class WorkspaceOptions:
-    """Options for solvers, targets and what is written."""
+    """Options of `ik workspace`: solvers, targets, and which files are written."""
 
     solver: list[str] | None = option(
         "NAME", "May be repeated; default: the search of auto.", "-s", "--solver", panel="Solver", complete=solvers_like
