@@ -77,9 +77,7 @@ class Solutions:
                 self.close()
                 self.file.finish()
             elif self.count and not self.file.stream.closed:
-                with contextlib.suppress(
-                    OSError
-                ):  # the disk may be full; rows that were written completely are kept all the same
+                with contextlib.suppress(OSError):
                     self.close()
                 if kept := self.file.keep(PARTIAL):
                     notice(f"partial: the first {self.count} solutions are in {kept}")

@@ -199,11 +199,11 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Return the tips to load: one name, or None for the default tip, makes a Robot; a list makes a always makes a Tree.
+        """Return the tips to load: one name, or None for the default tip, makes a Robot; a list makes a Tree.
 
         The tips are those of --tip. Without it they are all listed for the robot, or, if the targets name any other, those of the
         targets. With --group, `load` takes the tips of the group: then None (no targets) makes a Robot if there is one tip, and []
-        Tree.
+        always makes a Tree.
 
         given: targets by tip, None without --target. relative: {TIP: OTHER} of --relative. one: whether a target without a tip is
         given. Raises InvalidOption.
