@@ -73,7 +73,7 @@ class BenchmarkRow:
     once: "BenchmarkRow | None" = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all but the arrays as plain numbers, ready for JSON."""
+        """Return all attributes but the arrays as numbers, strings and lists, ready for JSON."""
         plain = {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
         return plain if self.once is None else {**plain, "once": self.once.to_dict()}
 
@@ -109,7 +109,7 @@ class Benchmark:
         return found
 
     def table(self) -> TextTable:
-        """Return what was found as a table, a row for each robot and solver."""
+        """Return success, iterations and times as a table, with a row for each robot and solver."""
         rows = []
         for robot, found in self.by_robot().items():
             for row in found:
@@ -235,7 +235,7 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # If no solver applies, an option is probably wrong, as the last error says.
+    # If no solver applies, an option is probably wrong, and the last error says which.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
@@ -245,7 +245,7 @@ def benchmark(
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Return the name of a robot, with the names of its tips if it has several (or if `always`)."""
+    """Return the name of a row's robot, with the names of its tips if it has several, or if `always`."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -332,7 +332,7 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
 
 
 def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
-    """Summarise the rows of `run_block`; the arrays of the result have the solved targets first."""
+    """Return the BenchmarkRow of the results (N, 7) of `run_block`; its arrays have the solved targets first."""
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)

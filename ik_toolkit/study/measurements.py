@@ -16,7 +16,7 @@ from ..robot.formats.finding import did_you_mean
 from ..robot.pose import as_matrix
 from ..text import length
 
-# how many numbers a measurement of each kind gives
+# how many numbers each kind of measurement gives
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
@@ -114,7 +114,7 @@ class Measurements:
         return len(self.lengths if self.what == "distance" else self.labels)
 
     def taken(self, rows: np.ndarray) -> "Measurements":
-        """Return the measurements of some rows; sockets, planes or fixed ends keep their indices."""
+        """Return the Measurements of some rows (a mask or indices); sockets, planes or fixed ends keep their indices."""
         other = Measurements.__new__(Measurements)
         other.__dict__.update(vars(self))
         for name in ("positions", "rotations", "lengths", "labels"):
@@ -147,7 +147,7 @@ class Measurements:
             )
 
     def names(self) -> list[str]:
-        """Return the names of the unknowns z."""
+        """Return the names of the unknowns z, the coordinates of sockets, planes or fixed ends."""
         if self.what == "plane":
             return [f"plane {k}.{part}" for k in range(self.count) for part in ("tilt 1", "tilt 2", "distance")]
         word = "socket" if self.what == "socket" else "fixed end"

@@ -26,7 +26,7 @@ from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
 from .reachability import quality
 
-# the attributes of a placement that are written to files
+# the attributes of a Placement that are written to files
 NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
 
 
@@ -69,7 +69,7 @@ class Placement:
 
     @property
     def counts(self) -> str:
-        """Text with the number of poses reached: '12 of 40', for several tips with their names."""
+        """Number of poses reached, as text: '12 of 40', for several tips a number each with its name."""
         names = list(dict.fromkeys(self.tips.tolist()))
         each = [self.reached[self.tips == tip] for tip in names]
         said = [f"{one.sum()} of {len(one)}" for one in each]
@@ -122,7 +122,7 @@ class Placements(Sequence[Placement]):
         return iter(self.found)
 
     def table(self) -> TextTable:
-        """Return the placements as a table."""
+        """Return a table with a row for each placement: base pose, poses reached, clearance, margin."""
         rows = [
             (
                 k,

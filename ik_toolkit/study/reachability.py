@@ -51,7 +51,7 @@ class MapNotSaved(IKError):
 
 
 def decides(plan: Plan) -> bool:
-    """Return whether solving with this plan (choice of solvers) decides every target, so that more attempts are of no use."""
+    """Return whether this plan's solver finds or excludes a solution of every target, so that more attempts are of no use."""
     return plan.row.closed or isinstance(plan, Deciding)
 
 
@@ -193,7 +193,7 @@ class _Study:
             self.q[rows[states == Reach.YES]] = q
 
     def search(self) -> None:
-        """Compute the answers of all cells and orientations."""
+        """Compute whether each cell is reached in each orientation, and write finished parts to the file."""
         rest = np.flatnonzero(self.states == Reach.UNTRIED)
         if decides(self.plan):
             self.solve(rest, Reach.MANY)
@@ -212,7 +212,7 @@ class _Study:
                 self.flood(tried)
 
     def open_beside_yes(self) -> np.ndarray:
-        """Return the answers left open by few attempts whose cells touch, even at a corner, a reached cell of equal orientation."""
+        """Return the indices of answers left open by few attempts whose cell touches one reached in the same orientation."""
         near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
         for axis in range(3):
             one = np.moveaxis(near, axis, 0)
@@ -222,7 +222,7 @@ class _Study:
         return np.flatnonzero(near.ravel() & (self.states == Reach.FEW))
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
-        """Solve for answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get the state `failed`.
+        """Solve the targets of answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get state `failed`.
 
         Returns the number of targets that are newly reached.
         """
@@ -267,7 +267,7 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Try answers that were not found from the configurations of reached neighbours, until that finds no more solutions.
+        """Solve unreached targets again from the configurations of reached neighbours, until no more solutions are found.
 
         tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """
@@ -303,7 +303,7 @@ class _Study:
         return Audit(len(left), len(rows), found, EFFORT.audited)
 
     def result(self, audit: Audit | None, options: str) -> ReachabilityMap:
-        """Return the map of the answers so far."""
+        """Return the ReachabilityMap of the answers computed so far."""
         audit = Audit(int((self.states >= Reach.FEW).sum())) if audit is None else audit
         grid, robot = self.grid, self.robot
         K, cells = grid.turns, grid.cells

@@ -21,7 +21,7 @@ from .reachability_grid import Grid
 
 
 class Reach(IntEnum):
-    """Codes of the answers in a map."""
+    """States of the answers in a ReachabilityMap: whether a cell is reached in an orientation."""
 
     UNTRIED = 0
     YES = 1  # reached, with a configuration that was checked
@@ -186,7 +186,7 @@ class ReachabilityMap:
 
     # ------------------------------------------------------------------------------------------------------ words
     def table(self) -> TextTable:
-        """Return what was found as a table."""
+        """Return a table of the shares reached, out of reach and undecided, with the audit below it."""
         counts, total = self.counts(), max(self.states.size, 1)
         rows = [(ANSWERS[key], count, f"{100.0 * count / total:.2f} %") for key, count in counts.items() if count]
         if self.grid.poses is not None:
@@ -350,7 +350,7 @@ class Log:
             )
 
     def close(self, finished: bool) -> None:
-        """Close the file, and remove it if the map was written."""
+        """Close the file, and remove it if the study is `finished` and its map was written."""
         try:
             self.stream.close()
         except OSError:  # on a full disk, flushing fails again when the file is closed

@@ -27,7 +27,7 @@ from .targets import one_tip, sample_targets, stream_targets
 
 
 class StudySizes(NamedTuple):
-    """Sizes of a workspace study."""
+    """Sizes of a workspace study: cells of the map, and what is kept in memory."""
 
     cells: int = 24  # number of cells along the longest side of the success map
     envelope: int = 100_000  # number of random configurations whose tip positions give the envelope
@@ -40,7 +40,7 @@ SIZES = StudySizes()
 
 @dataclass
 class SolverCounts:
-    """Counts of one solver over the workspace."""
+    """How many targets all over the workspace one solver solved, with iterations, errors and times."""
 
     solver: str  # name of the solver
     targets: int = 0  # number of targets
@@ -86,7 +86,7 @@ class Workspace:
     solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
 
     def table(self) -> TextTable:
-        """Return what was found as a table, a row for each solver."""
+        """Return successes, iterations, errors and times as a table, with a row for each solver."""
         rows = []
         for name, one in self.outcomes.items():
             low, high = wilson(one.solved, one.targets)
@@ -330,7 +330,7 @@ class _Table:
             self.out.write(lines)
 
     def close(self, whole: bool) -> None:
-        """Give the file its final name, or keep the finished targets as NAME.partial."""
+        """Give the file of targets its final name if all are in it, otherwise the name NAME.partial."""
         if self.out is None:
             return
         if whole:
