@@ -18,7 +18,7 @@ from ..robot.library import shipped_robots
 from ..style import PRINTED
 from ..text import plain
 
-Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves that one call makes
+Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves in one call
 
 
 class ReportInterrupted(Portable, KeyboardInterrupt):
@@ -143,7 +143,7 @@ class Report:
         return files
 
 
-ROUNDING = 1e-11  # Errors below this (in m, mm, rad or deg) are rounding.
+ROUNDING = 1e-11  # A computed error below this, whatever its unit (m, mm, rad or deg), is rounding.
 WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 pixels high on a page 740 pixels wide
 
 

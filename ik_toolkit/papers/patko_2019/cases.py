@@ -13,7 +13,7 @@ from ...servo.orbit_stability import JacobianDerivatives, OrbitState, chained, s
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-ZIGZAGS = ("aa1", "aa2")  # method aa with readings 1, 2 of dJ/dt, which zigzag about the motion without error
+ZIGZAGS = ("aa1", "aa2")  # method aa with dJ/dt read in ways 1 and 2; their runs zigzag about the exact motion
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
