@@ -34,7 +34,7 @@ def _number(color: tuple[float, ...]) -> int:
 
 
 def compressed(data: bytes) -> str:
-    """Return compressed data as text."""
+    """Return data compressed by gzip, as base64 text."""
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
@@ -52,7 +52,7 @@ class Cloud(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """The shape of another path (source) in another colour, whose triangles need not be sent again."""
+    """A shape that is drawn like the one at the path `source`, in another colour; its triangles need not be sent again."""
 
     source: str
     color: tuple[float, float, float]

@@ -171,7 +171,7 @@ class Visit:
         self.worker.post(name, self._guard(noted))
 
     def say(self, text: str, color: str = PLAIN, instead_of: str | None = None) -> None:
-        """Show a sentence in the status line; with `instead_of`, only if the line still has this content."""
+        """Show a sentence in the status line; with `instead_of`, only if that is still the line's content."""
         text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
         if self.status is None or instead_of not in (None, self.status.content):
             return
@@ -189,5 +189,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Build the robot and its controls anew."""
+        """Build the page anew for the session's robot; subclasses do this."""
         raise NotImplementedError

@@ -51,7 +51,7 @@ class Lesson:
         return SCALES[unit_of(self.robot.joint_kinds[i])]
 
     def unit(self, i: int) -> str:
-        """Return the displayed unit of joint i."""
+        """Return the unit in which joint i is displayed, 'deg' or 'mm'."""
         return UNITS[unit_of(self.robot.joint_kinds[i])]
 
     def read(self, values: list[float], shown: list[float]) -> np.ndarray:
@@ -88,7 +88,7 @@ class Lesson:
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
         result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
         self.made = result.explain()
-        # The rotation of the target may have been corrected.
+        # A typed rotation may have been corrected to an orthogonal matrix.
         self.T = self.made.targets[self.robot.tip] if self.posed else T
         self.shown = self.made.chosen or 0
         return result

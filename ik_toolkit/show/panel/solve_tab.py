@@ -74,7 +74,7 @@ class Goal:
         return T if self.posed else T[:3, 3]
 
     def put(self, T: np.ndarray) -> None:
-        """Set arrows and fields to a pose (4, 4) [m]."""
+        """Show a pose (4, 4) [m] of the target in the fields, and move its handle there."""
         self.handle.put(T)
         self._write(T)
 
@@ -122,7 +122,7 @@ class SolutionsTab:
             self.ghost(self.session.solutions[self.chosen])
 
     def hide(self) -> None:
-        """Hide the list."""
+        """Hide the list of solutions."""
         self.folder.visible = False
         self.ghost(None)
 

@@ -63,7 +63,7 @@ class Recorder:
         self.say(f"{how_many(count, 'posture')} recorded")
 
     def forget(self) -> None:
-        """Begin a new motion."""
+        """Remove all recorded configurations, to begin a new motion."""
         self.session.recorded.clear()
         self.say("the record is empty")
 

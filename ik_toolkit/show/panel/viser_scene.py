@@ -96,7 +96,7 @@ class Handle:
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Show or hide the rings, and the whole handle."""
+        """Show the rings of the handle if `rotations`, and the handle at all if `visible`."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible
