@@ -166,7 +166,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array or a number of numpy
+    if hasattr(value, "tolist"):  # an array or number of numpy has `tolist`
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
