@@ -69,7 +69,7 @@ class PathOptions:
     plot: Path | None = option("FILE", "Draw the joints to a .png, .pdf or .svg file.", writes=PLOTS)
 
     def check(self) -> None:
-        """Raise InvalidOption for options that do not go together."""
+        """Raise InvalidOption for --retime without --acceleration or a fit file format, and for steps or tolerances not above 0."""
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None:

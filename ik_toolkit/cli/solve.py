@@ -36,7 +36,7 @@ ACROSS = 6  # number of joints whose values fit side by side into 80 columns
 
 @options("Solver")
 class SolverOptions:
-    """Options for the solver and how long it may take."""
+    """Options for the solver: its parameters, attempts, iterations and time."""
 
     solver: str = option(
         "NAME",
@@ -144,7 +144,7 @@ class ManyOptions:
 
 @options("Output")
 class SolveOutput(ObjectOutput):
-    """Options for what is printed, written and drawn."""
+    """Options of `ik solve` for what is printed, written to files and drawn."""
 
     csv_file: Path | None = same(TableOutput, "csv_file")
     plot: Path | None = option(
@@ -158,7 +158,7 @@ class SolveOutput(ObjectOutput):
 
     @property
     def drawn(self) -> bool:
-        """Return whether a picture is asked for."""
+        """Whether --plot, --html or --view is given."""
         return self.plot is not None or self.html is not None or self.live
 
 

@@ -59,7 +59,7 @@ class TargetOptions:
         return self.xyz is not None or self.matrix is not None or self.oriented
 
     def check(self) -> None:
-        """Raise InvalidOption for options that do not go together."""
+        """Raise InvalidOption if --target is given together with --xyz, --matrix or an orientation."""
         if self.targets and self.posed:
             raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
 

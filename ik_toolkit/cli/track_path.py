@@ -89,7 +89,7 @@ class PathOptions:
         return axis
 
     def check(self) -> None:
-        """Raise InvalidOption for options that this kind of path does not have."""
+        """Raise InvalidOption for options that the kind of path does not have, such as --radius for a line."""
         if self.shape is None:
             return
         kind = self.shape if self.shape in SHAPES else "file"
