@@ -91,7 +91,7 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
 
 @dataclass(frozen=True)
 class LoopAnalysis:
-    """The loop of a state-space solver at N configurations.
+    """How a state-space solver, run as a feedback loop, reduces small errors near N configurations.
 
     Attributes:
         robot: The robot.

@@ -315,9 +315,9 @@ def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) 
 
 
 def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
-    """Solve targets one by one.
+    """Solve a block of m targets one by one, and time each call.
 
-    Returns a row for each (m, 7): time [s], status, iterations, restarts, evaluations, position error [m], rotation error [rad].
+    Returns a row for each target (m, 7): time [s], status, iterations, restarts, evaluations, errors [m] and [rad].
     """
     table = np.empty((len(T), 7))
     for k, target in enumerate(T):

@@ -80,7 +80,7 @@ class Calibration:
         prior: Any,
         against: Mapping[str, Any],
     ) -> "Calibration":
-        """Make the result of a finished fit.
+        """Make the Calibration from a finished ArmFit.
 
         before: residuals (N, 3 or 6) [m, rad] of the nominal arm. fixed: unknowns that were fixed. ranks: `rank`, `rank_drawn` and
         `rank_anywhere`. prior: standard deviations of the prior [m, rad]. against: the dict `reversed`.
@@ -294,5 +294,5 @@ class Calibration:
 
 
 def shown(value: float, turns: bool) -> str:
-    """Write an error [m or rad] in mm or degrees, with its sign."""
+    """Return an error [m or rad] in mm, or in degrees if it `turns`, as text with its sign."""
     return f"{np.degrees(value) if turns else 1e3 * value:+.3f}"

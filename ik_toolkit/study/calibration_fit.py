@@ -28,7 +28,7 @@ SIGNS = (0.01, 4.0, 7)
 
 
 class ArmFit:
-    """A calibration fit in progress.
+    """A least-squares fit of an arm's errors to measurements, in progress.
 
     Attributes:
         arm, measured, Q: The arm, the measurements and the joint values (N, n).
@@ -114,7 +114,7 @@ class ArmFit:
         return every[:P], every[P:]
 
     def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the errors (N, per) [m, rad] of all measurements."""
+        """Return the residuals of all measurements (N, per) [m, rad], `per` numbers a measurement, for unknowns x and z."""
         return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
 
     def typical(self) -> float:

@@ -27,7 +27,7 @@ FAR = 10.0
 
 
 class Measurements:
-    """Measurements of one kind.
+    """Measurements of the tip, all of one kind, as `calibrate` takes them.
 
     Attributes:
         what: The kind, a key of WHAT.

@@ -32,7 +32,7 @@ NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulab
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Placement:
-    """A base pose, and what is reached from it.
+    """A pose of the robot's base, and what the robot reaches from there.
 
     Attributes:
         T_world_base: Pose (4, 4) [m] of the base, in the frame of the poses.

@@ -52,7 +52,7 @@ class Grid:
 
     @property
     def cells(self) -> int:
-        """Number of cells."""
+        """Number of cells of the map, or of single poses."""
         return int(np.prod(self.shape, dtype=object))
 
     @property

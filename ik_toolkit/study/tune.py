@@ -46,7 +46,7 @@ class Score:
 
     @property
     def total(self) -> int:
-        """Number of targets in all sets."""
+        """Number of targets in all sets together."""
         return self.targets * len(self.successes)
 
     @property
@@ -56,7 +56,7 @@ class Score:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % Wilson interval of the share."""
+        """95 % Wilson interval (low, high) of the share of solved targets."""
         return wilson(sum(self.successes), self.total)
 
     @property
@@ -100,7 +100,7 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 
 @dataclass
 class TuneResult:
-    """Result of tuning.
+    """Result of `tune`: the best parameters found for a solver, and how they compare on fresh targets.
 
     A rule is a solver with given parameters. Three are compared on held-out targets: the tuned rule, the one the search started
     from, and the solver's default.
