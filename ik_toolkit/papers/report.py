@@ -57,11 +57,11 @@ class Report:
             raise ReportInterrupted(self) from None
 
     def heading(self, text: str) -> None:
-        """Start a section."""
+        """Begin a section of the report with a heading."""
         self._parts.append(f"## {text}")
 
     def text(self, text: str) -> None:
-        """Add a paragraph of Markdown."""
+        """Add a paragraph of Markdown to the report; its line breaks are removed."""
         self._parts.append(" ".join(text.split()))
 
     def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]] | str, least: float = 0.0) -> None:
@@ -78,7 +78,7 @@ class Report:
         self._parts.append("\n".join(lines))
 
     def records(self, key: str, rows: Sequence[dict[str, Any]], least: float = 0.0) -> None:
-        """Add a table whose rows are given as values by column."""
+        """Add a table (see `table`) from rows that are dicts of values by column name."""
         self.table(key, [*rows[0]], [[*row.values()] for row in rows], least)
 
     def number(self, key: str, value: Any) -> Any:
@@ -162,7 +162,7 @@ def shipped_table(name: str) -> DHTable:
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Time several functions in turn, for a number of rounds.
+    """Time several functions, each once a round, so that changes in the machine's speed affect all alike.
 
     Processor time is measured, because other processes on the same core should not count.
 

@@ -150,7 +150,7 @@ def known_run(name: str, gains: GainSet, key: str, start: float = 0.0, **changes
 
 
 def settled(case: Case, made: Run) -> dict[str, float]:
-    """Return four errors of a run, all NaN if it stopped early.
+    """Return four errors [m] that summarise a run, all NaN if the run stopped early.
 
     They are the largest and the RMS error of the second half, the RMS error of the whole run, and the largest error between
     samples of the second half.
