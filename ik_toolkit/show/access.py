@@ -47,7 +47,7 @@ def below(path: str, token: str) -> str | None:
 
 
 def refused_request(headers: Any, host: str) -> str:
-    """Return why a request is refused, or ''.
+    """Return why a request to the server is refused, '' if it is accepted.
 
     A browser sends the requesting page (Origin) and the host name it used (Host).
     """

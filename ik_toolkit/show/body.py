@@ -103,7 +103,7 @@ class BodyPart:
 
 
 class Body:
-    """The drawn parts of a robot and their placements.
+    """The drawn parts of a robot, and where they are at given joint values.
 
     parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world, with a scale for bars; notice ('' or
     what is not drawn, and why); T_world_base (4, 4) at rest; `floor`, the height [m] of the floor, under the robot's lowest part
@@ -154,7 +154,7 @@ class Body:
         return np.array([self.T_world_base @ T.homogeneous for T in self.robot.tip_poses(np.asarray(q))])
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
+        """Return whether each part (P,) is visibly elsewhere at poses A than at B: (P, 4, 4), or any of (F, P, 4, 4)."""
         gap = np.abs(A - B).reshape(-1, len(self.parts), 4, 4)
         gap[:, :, :3, 3] /= self.robot.reach
         gap[:, self.bars, :3, :3] /= self.robot.reach

@@ -311,7 +311,7 @@ class Scene(InCell):
         return self._aimed().serve(port)
 
     def close(self) -> None:
-        """Stop serving the scene."""
+        """Stop serving the scene over the network; it can still be changed and saved."""
         self.window.close()
 
     def _target(self, T_base: Any) -> tuple[np.ndarray, bool]:

@@ -89,7 +89,7 @@ class SceneState(Unique):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of everything drawn."""
+        """Names of everything drawn, by which it can be moved or removed."""
         return tuple(self._boxes)
 
     def remove(self, name: str) -> None:

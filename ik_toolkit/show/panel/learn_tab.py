@@ -119,7 +119,7 @@ class Lesson:
 
 
 def matrix_of(columns: Mapping[str, Any]) -> np.ndarray:
-    """Return the matrix (4, 4) with the columns n, o, a and p."""
+    """Return the homogeneous matrix (4, 4) whose columns are n, o, a and p."""
     return np.vstack([np.column_stack([columns[name] for name in "noap"]), LAST])
 
 
@@ -186,7 +186,7 @@ class Learn:
 
     # ---------------------------------------------------------------------------------------------------------- actions
     def show(self, q: np.ndarray) -> None:
-        """Update joint values, matrix and D-H table to q (n,)."""
+        """Show the joint values q (n,), and the pose matrix and D-H table for them."""
         if not self.alone:
             return
         lesson = self.lesson
@@ -262,7 +262,7 @@ class Learn:
         self._write()
 
     def pick(self, k: int) -> None:
-        """Show branch k: its configuration and its formulas."""
+        """Show solution number k of a closed form: move the arm there, and show its formulas."""
         lesson = self.lesson
         if k >= len(lesson.branches):
             return

@@ -16,7 +16,7 @@ from .session import KINDS, Session
 
 
 def as_sentence(text: str) -> str:
-    """Return a text with a capital letter and a full stop."""
+    """Return a text beginning with a capital letter and ending with a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
@@ -80,7 +80,7 @@ class Recorder:
             return found.message, {file.name: file.read_bytes() for file in written}
 
     def save(self) -> None:
-        """Show links to the files of the motion."""
+        """Offer the recorded motion on the page as links to its files."""
         message, files = self.files()
         kinds = {".csv": ("text/csv", "CSV"), ".json": ("application/json", "JSON of a ROS JointTrajectory")}
         links = []
