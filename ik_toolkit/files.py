@@ -72,7 +72,7 @@ def require_place(path: str | Path) -> None:
 
 
 class WholeFile:
-    """A file that gets its name when `finish` is called.
+    """A file that is written under a temporary name and gets its own name when `finish` is called.
 
     If the work ends early, the file can be kept under another name, cut off after the last `mark`.
     """
