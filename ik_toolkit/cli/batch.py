@@ -24,8 +24,6 @@ from ..text import duration, figure
 from .output import notice, progress, show, write_json
 from .streams import uninterrupted
 
-FAILED = ".failed"
-
 
 def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
@@ -64,7 +62,7 @@ class Solutions:
     def fail(self) -> Path | None:
         """Close the file and keep it as NAME.failed. Returns its path, or None if it could not be kept."""
         self.close()
-        return self.file.keep(FAILED)
+        return self.file.keep(".failed")
 
     def __enter__(self) -> "Solutions":
         """Return the object itself."""

@@ -8,7 +8,8 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import write_whole
 from .command import PLOTS, argument, command, option, options, same
-from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, robots_like, solver_named, solvers_like
+from .completion import robots_like, solvers_like
+from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, solver_named
 from .output import notice, partial, progress, show, table, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted

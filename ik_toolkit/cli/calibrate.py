@@ -10,7 +10,7 @@ import typer
 from ..errors import InvalidOption, InvalidTarget
 from ..files import as_output, write_table
 from ..text import figure, length, numbers, vector
-from .command import PLOTS, alone, command, option, options
+from .command import PLOTS, command, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
 from .output import heading, notice, show, table, turns, write_json
 from .pictures import chart
@@ -44,7 +44,9 @@ class CalibrateOptions:
         "M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.", needs=["--data"]
     )
     suggest: int | None = option(
-        "N", "Write N configurations to measure to -o, a .csv; with --data beside those measured."
+        "N",
+        "Write N configurations to measure to -o, a .csv; with --data beside those measured.",
+        without=["--html", "--plot"],
     )
     output: Path | None = option(
         "FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[]
@@ -72,8 +74,6 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     """
     if asked.data is None and asked.suggest is None:
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")
-    if asked.suggest is not None:
-        alone("--suggest", {"--html": asked.html, "--plot": asked.plot})
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)

@@ -14,7 +14,7 @@ import typer
 
 from ..errors import extras
 from . import first_use
-from .command import alone, command, flag, options
+from .command import command, flag, options
 from .options import JsonOutput
 from .output import notice, show, table, write_json
 
@@ -28,7 +28,9 @@ DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that only devel
 class DoctorOptions(JsonOutput):
     """Options of `ik doctor`, which compile code instead of checking the installation."""
 
-    prepare: bool = flag("--prepare", "Compile what the default solvers need now; about half a minute, once.")
+    prepare: bool = flag(
+        "--prepare", "Compile what the default solvers need now; about half a minute, once.", without=["--json"]
+    )
     background: bool = flag("--background", "", hidden=True)
 
 
@@ -44,7 +46,6 @@ def doctor(asked: DoctorOptions) -> None:
     ik doctor --prepare
     """
     if asked.prepare:
-        alone("--prepare", {"--json": asked.as_json})
         _prepare(asked.background)
         return
     rows = [*_versions(), *_extras(), _compiler(), _cache(), *_background(), _pinocchio(), _robots()]

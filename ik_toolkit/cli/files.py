@@ -13,7 +13,8 @@ from ..errors import CONTROLS, IKError, ModelError
 from ..files import write_whole
 from ..text import how_many, in_shell
 from .command import argument, command, flag, option, options, same
-from .options import JsonOutput, RobotOptions, assignments, robots_like
+from .completion import robots_like
+from .options import JsonOutput, RobotOptions, assignments
 from .output import notice, progress, show, table, write_json
 
 

@@ -1,16 +1,14 @@
 """The options that several commands share: the robot, what counts of a target, collisions, tolerances, output."""
 
-import contextlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import typer
-
-from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
 from ..text import comma_hint, numbers, parameter, vector, with_points
 from .command import TIP, argument, flag, option, options
+from .completion import links_like, robots_like, tips_like
 from .output import notice, turns
 
 OBSTACLES = {  # by kind of obstacle, its numbers, and how many of them are sizes
@@ -18,49 +16,6 @@ OBSTACLES = {  # by kind of obstacle, its numbers, and how many of them are size
     "sphere": ("x,y,z,radius", 1),
     "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
 }
-
-
-# ---------------------------------------------------------------------------------------------- completion in the shell
-def robots_like(incomplete: str) -> list[tuple[str, str]]:
-    """Complete a robot's name in the shell: names and descriptions; if there are none, the shell completes file names."""
-    from ..robot.library import data_files, list_robots
-
-    known = {entry.name: entry.description for entry in list_robots()}
-    # The other robots of example-robot-data, whose tips are guessed, are offered only if no listed robot matches.
-    for names in (known, dict.fromkeys(data_files(), "example-robot-data")):
-        if found := [row for row in names.items() if row[0].startswith(incomplete)]:
-            return found
-    return []
-
-
-def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Complete a link's name in the shell: links of the robot on the command line that begin with a word."""
-    from ..robot.formats.urdf import parse, safe_read
-    from ..robot.library import find
-
-    with contextlib.suppress(IKError):
-        items = parse(safe_read(find(ctx.params.get("robot") or "").source))
-        return [item.name for item in items if item.tag == "link" and item.name.startswith(incomplete)]
-    return []
-
-
-def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Complete a tip's name in the shell: a known tip of the robot on the command line, or else one of its links."""
-    from ..robot.library import find
-
-    with contextlib.suppress(IKError):
-        if found := [tip for tip in find(ctx.params.get("robot") or "").tips if tip.startswith(incomplete)]:
-            return found
-    return links_like(ctx, incomplete)
-
-
-def solvers_like(incomplete: str) -> list[tuple[str, str]]:
-    """Complete the last name of a comma-separated list of solvers in the shell: lists and descriptions."""
-    from ..solvers.registry import list_rows
-
-    before, comma, word = incomplete.rpartition(",")
-    rows = [("auto", "the one that fits robot and target"), *((row.name, row.summary) for row in list_rows())]
-    return [(before + comma + name, what) for name, what in rows if name.startswith(word)]
 
 
 # -------------------------------------------------------------------------------------------------------------- output
@@ -113,7 +68,11 @@ class RobotOptions:
         "X Y Z", "Where the robot's root stands in the world [m]; targets and poses are then given in the world."
     )
     base_rpy: str | None = option("R P Y", "How it stands there: roll, pitch, yaw [rad].")
-    rail: str | None = option("LOWER UPPER", "Put the robot on a rail along x, with these limits [m]: joint base_x.")
+    rail: str | None = option(
+        "LOWER UPPER",
+        "Put the robot on a rail along x, with these limits [m]: joint base_x.",
+        without=["--base-xyz", "--base-rpy"],
+    )
     lock: list[str] | None = option("JOINT=VALUE", "Hold a joint at a value; may be repeated.")
     limit: list[str] | None = option(
         "JOINT:LOWER:UPPER",
@@ -123,7 +82,7 @@ class RobotOptions:
     package_dir: list[str] | None = option("DIR", "Folder to search for package:// names.")
     xacro_arg: list[str] | None = option("NAME:=VALUE", "Value of a xacro file's argument; may be repeated.")
     srdf: str | None = option("FILE", "SRDF of the robot; default: the one next to its file (see ik info).")
-    group: str | None = option("NAME", "Group of the SRDF, which sets base and tips.")
+    group: str | None = option("NAME", "Group of the SRDF, which sets base and tips.", without=["--tip"])
     deg: bool = flag("--deg", "Angles in degrees; lengths stay in metres.", panel="Output")
 
     @property
@@ -176,8 +135,6 @@ class RobotOptions:
                 raise InvalidOption("--base-xyz and --base-rpy take finite numbers")
             more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
         if self.rail is not None:
-            if "on_base" in more:
-                raise InvalidOption("a robot on a rail has no fixed base; give --rail or --base-xyz and --base-rpy")
             more |= {"on_base": "rail", "base_limits": vector(self.rail, "--rail", 2)}
         tips = find(source).tips
         if self.group is None and tip is None and len(tips) > 1:

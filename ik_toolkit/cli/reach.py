@@ -20,7 +20,11 @@ class ReachOptions:
     region: str | None = option("X Y Z X Y Z", "Lower and upper corner [m]; default: the box around the reach.")
     resolution: float | None = option("M", "Width of a cell [m]; default: a fortieth of the longest side.")
     orientations: str = option("any|N", "Any orientation, or N tool axes about which the tip may turn.", default="any")
-    poses: Path | None = option("FILE", "Loose poses instead of a region: CSV, NPZ or JSON, as for ik solve --targets.")
+    poses: Path | None = option(
+        "FILE",
+        "Loose poses instead of a region: CSV, NPZ or JSON, as for ik solve --targets.",
+        without=["--region", "--resolution", "--orientations"],
+    )
     audit: str = option("N|full", "Unproven noes that are tried again with 1,000 attempts.", default="2000")
     priority: str | None = option("position", "Position first: the orientation may be as near as it gets.")
     seed: int = option("N", "Seed of the search.", default=0)
@@ -103,8 +107,6 @@ def reach(
 def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
     """Return the requested region, or single poses."""
     if asked.poses is not None:
-        if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
-            raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
         poses = file.poses(asked.poses, arm, deg)
         if poses.ndim != 3:
             raise InvalidOption(

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
 from ..text import how_many, plain
-from .command import alone, command, flag, option, options
+from .command import command, flag, option, options
 from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
 from .output import fixed, heading, notice, number, show, table, turns, unit, write_json, write_rows
 
@@ -26,7 +26,7 @@ class ListOptions(TableOutput):
 class InfoOptions(OneTip):
     """Options of `ik info`: the robot, and whether its possible tips are listed instead."""
 
-    list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.")
+    list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.", without=["--tip"])
 
 
 @options()
@@ -93,7 +93,6 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
 
     entry, deg = find(robot.robot), robot.deg
     if robot.list_tips:
-        alone("--list-tips", {"--tip": robot.tip})
         read_args = assignments(robot.xacro_arg, "--xacro-arg", ":=")
         ends = tip_candidates(read_source(robot.robot, robot.package_dir or (), read_args)[1]["model"])
         _show_tips(entry, [robot.load(name) for name in dict.fromkeys((*entry.tips, *ends))], out)

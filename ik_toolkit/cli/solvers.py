@@ -6,7 +6,8 @@ from typing import Any
 
 from ..errors import InvalidOption
 from .command import argument, command, options
-from .options import TableOutput, solver_named, solvers_like
+from .completion import solvers_like
+from .options import TableOutput, solver_named
 from .output import heading, show, table, write_json, write_rows
 
 TOLD = ("name", "summary", "handles", "citation")

@@ -12,6 +12,8 @@ from .options import joint_vector
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
+# options that describe a single target; the last two may also turn those of --target
+POSED = ("--xyz", "--rpy", "--quat-xyzw", "--quat-wxyz", "--direction", "--tip-axis")
 MATRIX = (12, 16)  # how many numbers a pose's matrix has: (3, 4) or (4, 4)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -25,16 +27,21 @@ class TargetOptions:
     quat_xyzw: str | None = option("X Y Z W", "Target orientation as a quaternion, real part last.")
     quat_wxyz: str | None = option("W X Y Z", "Target orientation as a quaternion, real part first.")
     matrix: str | None = option(
-        "M11 M12 ...", "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz."
+        "M11 M12 ...",
+        "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.",
+        without=POSED,
     )
     from_q: str | None = option(
-        "Q1 Q2 ...", "Target where the tip, or every tip, stands at these joint values; replaces --xyz."
+        "Q1 Q2 ...",
+        "Target where the tip, or every tip, stands at these joint values; replaces --xyz.",
+        without=[*POSED, "--matrix", "--target", "--targets"],
     )
     targets: list[str] | None = option(
         "TIP:X,Y,Z[,...]",
         "Target of one of several tips solved together; repeat for each; replaces --xyz. A position, or a pose when "
         "roll, pitch, yaw or a quaternion x y z w follow, or 12 or 16 numbers of a matrix. A tip without a target is free.",
         "--target",
+        without=[*POSED[:4], "--matrix"],
     )
     relative: list[str] | None = option(
         "TIP:OTHER",
@@ -58,11 +65,6 @@ class TargetOptions:
         """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
         return self.xyz is not None or self.matrix is not None or self.oriented
 
-    def check(self) -> None:
-        """Raise InvalidOption if --target is given together with --xyz, --matrix or an orientation."""
-        if self.targets and self.posed:
-            raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
-
     def read(self, deg: bool) -> Any:
         """Return one target, or with --target a dict by tip; deg: if angles are degrees. Raises InvalidOption, InvalidTarget."""
         return self._several(self.targets, deg) if self.targets else self._single(deg)
@@ -76,8 +78,6 @@ class TargetOptions:
         from ..robot.pose import pose
 
         if self.matrix is not None:
-            if self.xyz is not None or self.oriented or self.direction is not None or self.tip_axis is not None:
-                raise InvalidOption("--matrix gives the whole pose; omit --xyz, the rotation options and --direction")
             x = vector(self.matrix, "--matrix")
             if len(x) not in MATRIX:
                 raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")

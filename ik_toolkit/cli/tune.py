@@ -8,7 +8,8 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import require_place
 from .command import PLOTS, argument, command, flag, option, options, same
-from .options import TableOutput, WholeRobot, solvers_like
+from .completion import solvers_like
+from .options import TableOutput, WholeRobot
 from .output import notice, partial, progress, show, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted

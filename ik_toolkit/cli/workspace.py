@@ -8,7 +8,8 @@ from typing import Any
 from ..errors import InvalidOption
 from ..text import length
 from .command import PLOTS, command, flag, option, options
-from .options import ObjectOutput, WholeRobot, given, joint_vector, solvers_like
+from .completion import solvers_like
+from .options import ObjectOutput, WholeRobot, given, joint_vector
 from .output import heading, notice, partial, progress, show, table, write_json
 from .pictures import chart, show_scene
 

@@ -78,7 +78,7 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
 
 
 def page(found: Any) -> str:
-    """Write a Calibration to a self-contained HTML page: errors, residuals, and what the data do not determine."""
+    """Return a Calibration as the text of an HTML page: errors, residuals, and what the data do not determine."""
     before, after = found.rms
     kept = len(found.after) - len(found.outliers)
     figures = {
