@@ -46,6 +46,15 @@ class Portable(BaseException):
         return rebuild, (type(self), self.args, self.__dict__)
 
 
+class Interrupted(Portable, KeyboardInterrupt):
+    """Base class of the exceptions for Ctrl-C during long work; `result` is the result of the part that was finished before it."""
+
+    def __init__(self, result: Any, done: str) -> None:
+        """Keep the result of the finished part; done: how much was done, for the message."""
+        super().__init__(f"interrupted {done}")
+        self.result = result
+
+
 class IKError(Portable, Exception):
     """Base class of every error raised by ik_toolkit."""
 

@@ -215,6 +215,22 @@ class TextTable:
         return "\n".join([f"{self.title} {self.words}".rstrip(), *(line for line in drawn if line), *self.notes])
 
 
+class Tabled:
+    """Base class of results that a notebook and a terminal show as their `table()`."""
+
+    def table(self) -> TextTable:
+        """Return the table that is shown; each result has its own."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
+
+
 def _entry(value: Any) -> str:
     if value is None:
         return ""

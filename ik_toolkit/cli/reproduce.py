@@ -58,7 +58,7 @@ def reproduce(asked: ReproduceOptions) -> None:
             report = getattr(importlib.import_module(module), function)()
     except ReportInterrupted as stop:
         with uninterrupted():
-            files = stop.report.write_partial(folder)
+            files = stop.result.write_partial(folder)
             notice(f"partial: the report so far is in {' and '.join(map(str, files))}")
         raise
     files = report.write(folder)

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, Portable
+from ..errors import Interrupted, InvalidOption, MissingExtra
 from ..files import PARTIAL, write_whole
 from ..robot.formats.dh import DHTable, read_dh_table
 from ..robot.library import shipped_robots
@@ -21,13 +21,8 @@ from ..text import plain
 Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves in one call
 
 
-class ReportInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C while a report is made; `report` is its finished part."""
-
-    def __init__(self, report: "Report") -> None:
-        """Keep the finished part of a report."""
-        super().__init__(f"interrupted in the report '{report.title}'")
-        self.report = report
+class ReportInterrupted(Interrupted):
+    """Ctrl-C while a report is made; `result` is the Report with the parts that were finished before it."""
 
 
 class Report:
@@ -54,7 +49,7 @@ class Report:
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
         """Raise ReportInterrupted with the finished part if Ctrl-C ended the block."""
         if kind is not None and issubclass(kind, KeyboardInterrupt):
-            raise ReportInterrupted(self) from None
+            raise ReportInterrupted(self, f"in the report '{self.title}'") from None
 
     def heading(self, text: str) -> None:
         """Begin a section of the report with a heading."""

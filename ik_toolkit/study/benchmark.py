@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, Portable, UnknownSolver, check_progress, whole
+from ..errors import IKError, Interrupted, InvalidOption, UnknownSolver, check_progress, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
-from ..text import TextTable, duration
+from ..text import Tabled, TextTable, duration
 from ..validate import one_of, solver_list
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
@@ -79,7 +79,7 @@ class BenchmarkRow:
 
 
 @dataclass(frozen=True, repr=False)
-class Benchmark:
+class Benchmark(Tabled):
     """Results of a benchmark for all robots and solvers.
 
     Attributes:
@@ -129,14 +129,6 @@ class Benchmark:
             most=60,
         )
 
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
     def to_dict(self) -> dict[str, Any]:
         """Return all results as plain numbers, strings and lists, ready for JSON."""
         return {
@@ -149,13 +141,8 @@ class Benchmark:
         }
 
 
-class BenchmarkInterrupted(Portable, KeyboardInterrupt):
+class BenchmarkInterrupted(Interrupted):
     """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
-
-    def __init__(self, result: Benchmark) -> None:
-        """Keep the result of the finished part."""
-        super().__init__(f"interrupted with {len(result.rows)} rows")
-        self.result = result
 
 
 def benchmark(
@@ -240,7 +227,7 @@ def benchmark(
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
     if stopped:
-        raise BenchmarkInterrupted(found)
+        raise BenchmarkInterrupted(found, f"with {len(rows)} rows")
     return found
 
 

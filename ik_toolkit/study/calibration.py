@@ -14,7 +14,7 @@ from ..robot.formats.convert import corrected_robot
 from ..robot.formats.dh import DHTable
 from ..robot.robot import Robot
 from ..solvers.explain.dh_table import dh_of
-from ..text import TextTable, length
+from ..text import Tabled, TextTable, length
 from .calibration_fit import ArmFit
 from .calibration_report import open_points, page
 from .drawn_arm import DrawnArm, Unknown
@@ -33,7 +33,7 @@ class FixedUnknown(NamedTuple):
 
 
 @dataclass(repr=False, eq=False)
-class Calibration:
+class Calibration(Tabled):
     """Result of `calibrate`: how an arm differs from its nominal model ("as drawn").
 
     Lengths in metres, angles in radians; each error is in the axes of its joint's own frame (of the URDF), before the joint moves.
@@ -250,14 +250,6 @@ class Calibration:
         if not self.fixed:
             return ""
         return f"fixed as drawn, because it cannot be told from others: {', '.join(one.fixed for one in self.fixed)}"
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration as plain numbers, strings and lists."""

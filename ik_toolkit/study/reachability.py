@@ -13,7 +13,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, Portable, check_progress, whole
+from ..errors import IKError, Interrupted, InvalidOption, check_progress, whole
 from ..files import PARTIAL, as_output, require_place
 from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
@@ -29,16 +29,8 @@ from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
 
 
-class ReachabilityInterrupted(Portable, KeyboardInterrupt):
+class ReachabilityInterrupted(Interrupted):
     """Ctrl-C during a study of reachability; `result` is the ReachabilityMap of what was finished before it."""
-
-    def __init__(self, result: ReachabilityMap) -> None:
-        """Keep the map of the finished part."""
-        counts = result.counts()
-        super().__init__(
-            f"interrupted after {result.states.size - counts['untried']:,} of {result.states.size:,} answers"
-        )
-        self.result = result
 
 
 class MapNotSaved(IKError):
@@ -137,9 +129,10 @@ def reachability(
         study.search()
         audited = study.audit(tried_again, plan.options.seed)
     except KeyboardInterrupt:
-        if (study.states != Reach.UNTRIED).any():
-            raise ReachabilityInterrupted(study.result(audited, said)) from None
-        raise
+        if not (tried := int((study.states != Reach.UNTRIED).sum())):
+            raise
+        done = f"after {tried:,} of {study.states.size:,} answers"
+        raise ReachabilityInterrupted(study.result(audited, said), done) from None
     finally:
         if log is not None:
             log.close(False)

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..files import as_output, as_path, check_arrays, whole_file, why_unread
 from ..robot.pose import check_target
-from ..text import TextTable, figure, length
+from ..text import Tabled, TextTable, figure, length
 from ..validate import number, one_of
 from .benchmark import wilson
 from .reachability_grid import Grid
@@ -65,7 +65,7 @@ class Audit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReachabilityMap:
+class ReachabilityMap(Tabled):
     """What a robot reaches, cell by cell; made by `ik.reachability`.
 
     An answer is about the pose at the centre of its cell: yes means that a configuration inside the limits was computed and
@@ -201,14 +201,6 @@ class ReachabilityMap:
             )
             what = f"{sides} cells of {length(float(self.grid.size.max()))}{of}, with {self.tip}"
         return TextTable(self.robot, what, ("answer", "number", "share"), rows, f"{self.audit}. ik.plot(map) draws it.")
-
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the summary as plain numbers and texts, without the cells."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.jit import compile_time
-from ..errors import InvalidOption, Portable, check_progress, whole
+from ..errors import Interrupted, InvalidOption, check_progress, whole
 from ..files import PARTIAL, WholeFile, as_output, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -20,7 +20,7 @@ from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
-from ..text import TextTable, duration, length
+from ..text import Tabled, TextTable, duration, length
 from ..validate import solver_list
 from .benchmark import wilson
 from .targets import one_tip, sample_targets, stream_targets
@@ -70,7 +70,7 @@ class SolverCounts:
 
 
 @dataclass(repr=False)
-class Workspace:
+class Workspace(Tabled):
     """What a workspace study found: the reach of the tip, and where solvers succeed."""
 
     robot: str  # name of the robot
@@ -98,14 +98,6 @@ class Workspace:
         reach = f"reaches {length(self.radius[0])} to {length(self.radius[1])} from the base's origin with {self.tip}"
         return TextTable(self.robot, reach, head, rows, "ik.plot(workspace, robot) draws where targets are missed.")
 
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain numbers, strings and lists, without the map and the points."""
         return {
@@ -119,13 +111,8 @@ class Workspace:
         }
 
 
-class WorkspaceInterrupted(Portable, KeyboardInterrupt):
+class WorkspaceInterrupted(Interrupted):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
-
-    def __init__(self, result: Workspace) -> None:
-        """Keep the result of the finished part."""
-        super().__init__(f"interrupted after {next(iter(result.outcomes.values())).targets} targets")
-        self.result = result
 
 
 def envelope(
@@ -222,7 +209,7 @@ def workspace(
         table.close(finished)
     found = tally.result()
     if interrupted:
-        raise WorkspaceInterrupted(found)
+        raise WorkspaceInterrupted(found, f"after {tally.done} targets")
     return found
 
 
