@@ -11,7 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import clean
+from ..errors import Interrupted, clean
 from ..files import PARTIAL, write_table, write_whole
 from ..text import in_shell, plain
 from .streams import uninterrupted
@@ -159,6 +159,14 @@ def _facts(rows: dict[str, Any]) -> "Table":
         if value is not None:
             made.add_row(name, str(value))
     return made
+
+
+def run_or_part(study: Callable[[], Any]) -> tuple[Any, bool]:
+    """Run a study; return its result, or that of its finished part if Ctrl-C stopped it, and whether it was stopped."""
+    try:
+        return study(), False
+    except Interrupted as stop:
+        return stop.result, True
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from ..errors import InvalidOption
 from ..text import decimal, figure, length
 from .command import PLOTS, command, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
-from .output import notice, partial, progress, show, write_json
+from .output import notice, partial, progress, run_or_part, show, write_json
 from .pictures import chart, show_scene
 
 
@@ -60,7 +60,7 @@ def reach(
     ik reach hydrolek_7w --region 0 -1 0 1 1 1 --orientations 6 -o axes.npz
     """
     arm = robot.load(robot.tip)
-    from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
+    from ..study.reachability import MapNotSaved, reachability
     from ..study.reachability_grid import grid_of
     from ..study.reachability_map import ANSWERS
     from .batch import cluster_of  # imported here, because that module loads the solvers
@@ -79,9 +79,8 @@ def reach(
     stopped, lost = False, None
     with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
         try:
-            found = reachability(arm, region, executor=executor, file=asked.output, progress=step, **more)
-        except ReachabilityInterrupted as interrupt:
-            found, stopped = interrupt.result, True
+            more |= {"executor": executor, "file": asked.output, "progress": step}
+            found, stopped = run_or_part(lambda: reachability(arm, region, **more))
         except MapNotSaved as failure:
             found, lost = failure.result, failure.args[0].partition(";")[0]
     counts = found.counts()

@@ -1,8 +1,8 @@
 """`ik reproduce`: reproduces the papers behind the toolkit, and compares published numbers with computed ones."""
 
-import importlib
 import importlib.util
 import os
+import pkgutil
 from pathlib import Path
 
 from ..errors import InvalidOption, near_match
@@ -43,7 +43,6 @@ def reproduce(asked: ReproduceOptions) -> None:
         return
     if paper not in PAPERS:
         raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
-    module, function = PAPERS[paper].target.split(":")
     folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
@@ -55,7 +54,7 @@ def reproduce(asked: ReproduceOptions) -> None:
 
     try:
         with progress("computing", None):  # None, because the progress of a report is unknown
-            report = getattr(importlib.import_module(module), function)()
+            report = pkgutil.resolve_name(PAPERS[paper].target)()
     except ReportInterrupted as stop:
         with uninterrupted():
             files = stop.result.write_partial(folder)

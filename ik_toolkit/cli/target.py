@@ -27,9 +27,7 @@ class TargetOptions:
     quat_xyzw: str | None = option("X Y Z W", "Target orientation as a quaternion, real part last.")
     quat_wxyz: str | None = option("W X Y Z", "Target orientation as a quaternion, real part first.")
     matrix: str | None = option(
-        "M11 M12 ...",
-        "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.",
-        without=POSED,
+        "M11 M12 ...", "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.", without=POSED
     )
     from_q: str | None = option(
         "Q1 Q2 ...",
@@ -56,14 +54,10 @@ class TargetOptions:
     )
 
     @property
-    def oriented(self) -> bool:
-        """Whether --rpy or a quaternion is given, which adds an orientation to --xyz."""
-        return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
-
-    @property
     def posed(self) -> bool:
         """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
-        return self.xyz is not None or self.matrix is not None or self.oriented
+        given = (self.xyz, self.matrix, self.rpy, self.quat_xyzw, self.quat_wxyz)
+        return any(one is not None for one in given)
 
     def read(self, deg: bool) -> Any:
         """Return one target, or with --target a dict by tip; deg: if angles are degrees. Raises InvalidOption, InvalidTarget."""

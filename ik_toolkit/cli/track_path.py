@@ -50,11 +50,7 @@ class PathOptions:
     kp: float | None = option("K", "Gain of ca on the error [1/s^2]; default: best for the rate.")
     kd: float | None = option("K", "Gain of ca on the error rate [1/s]; default: best for the rate.")
     param: list[str] | None = option(
-        "NAME=VALUE",
-        "Other options: gamma, share, reading, null_damping, damping.",
-        "-p",
-        "--param",
-        panel="Solver",
+        "NAME=VALUE", "Other options: gamma, share, reading, null_damping, damping.", "-p", "--param", panel="Solver"
     )
     q0: str | None = option(
         "Q1 Q2 ...", "Start configuration; default: home, or solved for.", panel="Start and preferences"

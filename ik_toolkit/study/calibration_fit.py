@@ -183,8 +183,8 @@ class ArmFit:
         return float(np.trace(np.linalg.pinv(H + prior, hermitian=True) @ H))
 
     # ------------------------------------------------------------------------------------------------------ what is told
-    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return singular values of the Jacobian, and a basis (P, k) of the directions that the data do not determine.
+    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return a basis (P, k) of the directions that the data do not determine, from the Jacobian's singular values.
 
         The Jacobian is with respect to all unknowns of the arm; the unknowns z of touched objects are eliminated from it.
         """
@@ -195,7 +195,7 @@ class ArmFit:
             U, s, _ = np.linalg.svd(Z, full_matrices=False)
             U = U[:, s > 1e-9 * s[0]]
             A = A - U @ (U.T @ A)
-        return told_directions(A)
+        return untold_directions(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
         """Fix one unknown at 0 for each direction of a basis N (P, k); return each with the unknowns it cannot be separated from.
@@ -261,11 +261,10 @@ class ArmFit:
         return found
 
 
-def told_directions(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return singular values (P,) of a Jacobian A (m, P) in units of prior and noise, and a basis (P, k) of those below TOLD."""
+def untold_directions(A: np.ndarray) -> np.ndarray:
+    """Return a basis (P, k) of the directions whose singular values of A (m, P), in units of prior and noise, are below UNTOLD."""
     squares, V = np.linalg.eigh(A.T @ A)
-    S = np.sqrt(np.maximum(squares, 0.0))[::-1]
-    return S, V[:, ::-1][:, S < UNTOLD]
+    return V[:, squares < UNTOLD**2][:, ::-1]
 
 
 def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:

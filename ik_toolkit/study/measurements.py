@@ -127,13 +127,8 @@ class Measurements:
 
         drawn: tip positions (N, 3) [m] of the drawn arm in the measured configurations.
         """
-        spread = (
-            float(np.ptp(self.positions, axis=0).max())
-            if len(self.positions)
-            else float(np.ptp(self.lengths))
-            if len(self.lengths)
-            else 0.0
-        )
+        given = self.positions if len(self.positions) else self.lengths[:, None]
+        spread = float(np.ptp(given, axis=0).max()) if len(given) else 0.0
         if spread > FAR * reach:
             raise InvalidTarget(
                 f"the measurements spread over {spread:.4g} m, {spread / reach:.0f} times the robot's reach of {reach:.3g} m; were "
