@@ -9,7 +9,7 @@ from .errors import InvalidOption, ReadOnlyAttribute
 
 
 def importable(value: Any, what: str) -> None:
-    """Raise InvalidOption, "WHAT cannot be pickled", for a function or class that another process would not find."""
+    """Raise InvalidOption, "WHAT cannot be pickled", for a function or class that cannot be imported by its name."""
     try:
         pickle.dumps(value)
     except Exception as error:
@@ -90,8 +90,8 @@ class ReadOnly:
     """
 
     __slots__ = ()
-    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public names that can still be assigned
-    # advice for the error message, by name of the attribute; "" is for all others
+    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public attributes that can be assigned even when sealed
+    # what the error message advises, by attribute; "" is for all that are not listed
     _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
     _sealed = False
 

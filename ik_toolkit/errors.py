@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-COMPARED = 1_000  # largest number of names that a misspelled one is compared with (up to 50 us each)
+COMPARED = 1_000  # largest number of names with which a misspelled name is compared, at up to 50 us each
 SHOWN = 100  # longest name [characters] that is compared or shown in full; comparing takes quadratic time
 # Characters that a terminal acts on instead of showing them: control characters but tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
@@ -26,7 +26,7 @@ EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
 def clean(text: object) -> str:
-    """Return a text with control characters escaped, which names in files may contain, so that it is safe for a terminal."""
+    """Return a text with its control characters escaped, so that it can be printed safely even if it comes from a file."""
     return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
@@ -44,6 +44,15 @@ class Portable(BaseException):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how to make the exception again: from its class, arguments and attributes."""
         return rebuild, (type(self), self.args, self.__dict__)
+
+
+class Interrupted(Portable, KeyboardInterrupt):
+    """Base class of the exceptions for Ctrl-C during long work; `result` is the result of the part that was finished before it."""
+
+    def __init__(self, result: Any, done: str) -> None:
+        """Keep the result of the finished part; done: how much was done, for the message."""
+        super().__init__(f"interrupted {done}")
+        self.result = result
 
 
 class IKError(Portable, Exception):
@@ -188,8 +197,8 @@ def masked(value: Any) -> bool:
 def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
     """Warn that large angles may have been meant in degrees.
 
-    It warns at most once for each `what` and joint, even in a loop. There is no second warning for the same value of a joint if it
-    is passed on under another `what`.
+    It warns at most once for each `what` and joint, even in a loop, and not again for the same value of a joint under another
+    `what`.
 
     Args:
         what: What the angles are, for the message.
@@ -209,7 +218,7 @@ def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
 
 
 def doubt_lengths(what: str, away: float, reach: float) -> None:
-    """Warn, once for one `what`, that lengths [m] beyond FAR_AWAY arm reaches may have been meant in millimetres."""
+    """Warn, once for each `what`, that lengths [m] beyond FAR_AWAY times the arm's `reach` may have been meant in millimetres."""
     if away > FAR_AWAY * reach and what not in DOUBTED:
         DOUBTED.add(what)
         logging.getLogger("ik_toolkit").warning(
@@ -218,7 +227,7 @@ def doubt_lengths(what: str, away: float, reach: float) -> None:
 
 
 def extras() -> dict[str, list[str]]:
-    """Return the packages of each extra of the installed ik_toolkit; there are none if it is not installed."""
+    """Return the packages that each extra of the installed ik_toolkit needs, by name; empty if it runs without being installed."""
     import importlib.metadata  # imported here so that `import ik_toolkit` stays fast
 
     found: dict[str, list[str]] = {}

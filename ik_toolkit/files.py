@@ -19,8 +19,8 @@ from typing import Any, BinaryIO
 from .errors import IKError, InvalidOption, nearest
 
 PARTIAL = ".partial"  # suffix of the file that keeps an incomplete result
-FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginning of a cell that a spreadsheet would run, also after quotes
-# The arrays of a file may take UNPACKED bytes, plus EXPANSION times the file's size; poses compress to a fifth at best.
+FORMULA = re.compile(r"'*[=+\-@\t\r]")  # how a cell begins that a spreadsheet would run as a formula, also after quotes
+# Arrays may take UNPACKED bytes plus EXPANSION times the size of their compressed file; poses compress to a fifth at best.
 UNPACKED, EXPANSION = 2**26, 20
 NAMES = 2**18  # largest array of names [bytes]
 NUMBERS, TEXTS = "fiu", "U"  # numpy's letters for the kinds of dtype that are accepted as numbers, and as names
@@ -40,7 +40,7 @@ def as_output(value: Any, what: str, *suffixes: str) -> Path:
 
     If there is only one format, a device or pipe (which the shell may name /dev/fd/63) needs no suffix.
     """
-    file, formats = as_path(value, "file"), {*suffixes} - {".xml", ".htm"}  # these are other names of .urdf and .html
+    file, formats = as_path(value, "file"), {*suffixes} - {".xml", ".htm"}  # .xml stands for .urdf, .htm for .html
     stream = len(formats) == 1 and (file.is_fifo() or file.is_char_device())
     if file.suffix.lower() not in suffixes and not stream:
         named = " or ".join(filter(None, (", ".join(suffixes[:-1]), *suffixes[-1:])))
@@ -72,7 +72,7 @@ def require_place(path: str | Path) -> None:
 
 
 class WholeFile:
-    """A file that gets its name when `finish` is called.
+    """A file that is written under a temporary name and gets its own name when `finish` is called.
 
     If the work ends early, the file can be kept under another name, cut off after the last `mark`.
     """
@@ -95,7 +95,7 @@ class WholeFile:
         self.mark()
 
     def mark(self) -> None:
-        """Mark everything written so far as worth keeping if the work ends early."""
+        """Set the position up to which `keep` keeps the file if the work ends early: all that is written so far."""
         with self.named():
             self.stream.flush()
         if self._place is not None:
@@ -118,7 +118,7 @@ class WholeFile:
             raise
 
     def keep(self, suffix: str) -> Path | None:
-        """Keep the marked part under the name with a suffix. Returns that path, or None if nothing could be kept."""
+        """Keep the file up to the last `mark`, under its final name plus `suffix`. Returns that path, None if nothing was kept."""
         if self._place is None or not self._good:
             self.drop()
             return None
@@ -134,7 +134,7 @@ class WholeFile:
         return kept
 
     def drop(self) -> None:
-        """Close the stream and remove the temporary file."""
+        """Close the file and remove it: nothing of what was written is kept."""
         with suppress(OSError):
             self.stream.close()
         if self._place is not None:
@@ -171,7 +171,7 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 def inert(text: str) -> str:
     """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # a number such as -0.5 is not a formula
+        float(text)  # a number such as -0.5 begins like a formula and is none
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text

@@ -80,7 +80,7 @@ def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]
 
 
 class Case:
-    """One solver on one robot with one kind of target."""
+    """A solver to be tested on one robot with one kind of target, poses or positions."""
 
     def __init__(self, solver: Any, robot: Any, kind: str, seed: int = 0) -> None:
         """Take a solver as for `check_solver`, a Robot or Tree, and the kind of target: 'pose' or 'position'."""
@@ -132,7 +132,7 @@ class Case:
         return {arm.tip: arm.fk(np.asarray(q)[place]).homogeneous for arm, place in arms}
 
     def left(self, q: np.ndarray, target: Any) -> tuple[float, float | None]:
-        """Return the largest position error [m] and rotation error [rad] at q; the latter is None for positions."""
+        """Return the largest position error [m] and rotation error [rad] of any tip at q (n,); the latter is None for positions."""
         wanted = target if isinstance(target, dict) else {self.robot.tips[0]: target}
         errors = [_error(T, np.asarray(wanted[tip])) for tip, T in self.poses(q).items()]
         angles = [angle for _, angle in errors if angle is not None]
@@ -140,7 +140,7 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """List of (target, start, result) of solves with wide tolerances (LOOSE).
+        """Solves with wide tolerances (LOOSE) that all clauses share: tuples (target, start, result).
 
         Half of the starts are near a solution, half are home.
         """

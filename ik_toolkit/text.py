@@ -45,7 +45,7 @@ def how_many(count: int, noun: str) -> str:
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """Write a number, rounded to significant digits, as a person would: 3880, 0.0012, 2.5e-6."""
+    """Return a number as text with `digits` significant digits, as a person would write it: 3880, 0.0012, 2.5e-6."""
     text = f"{value:.{digits}g}"
     head, _, power = text.partition("e")
     if not power:
@@ -68,22 +68,22 @@ def _size(value: float, units: str, digits: int) -> str:
 
 
 def equations(values: Mapping[str, float], digits: int = 5) -> str:
-    """Write numbers by name: 'kp = 42.748, kd = 4.3499'."""
+    """Return numbers and their names as text: 'kp = 42.748, kd = 4.3499'."""
     return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
 
 
 def length(metres: float, digits: int = 3) -> str:
-    """Write a length [m] in a unit that suits it."""
+    """Return a length [m] as text, in m, mm, um or nm, whichever suits its size."""
     return _size(metres, "m mm um nm", digits) if metres else "0 mm"
 
 
 def duration(seconds: float, digits: int = 3) -> str:
-    """Write a time [s] in a unit that suits it."""
+    """Return a time [s] as text, in s, ms or us, whichever suits its size."""
     return _size(seconds, "s ms us", digits) if seconds else "0 s"
 
 
 def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
-    """Write an angle [rad] in degrees or radians, and one of less than a thousandth of these in urad or nrad."""
+    """Return an angle [rad] as text, in degrees or radians; one below a thousandth of these is in urad or nrad."""
     unit = (math.radians(1.0), "deg") if deg else (1.0, "rad")
     if radians and abs(radians) < 1e-3 * unit[0]:
         return _size(1e6 * radians, "urad nrad", digits)
@@ -126,7 +126,7 @@ def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
 
 
 def vector(text: str, what: str, size: int | None = None) -> list[float]:
-    """Return the numbers in a text.
+    """Return the numbers in a text, separated by spaces or commas.
 
     Raises:
         InvalidOption: There are none, or it cannot be told whether a comma is a decimal one; the message names `what`.
@@ -166,7 +166,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array or a number of numpy
+    if hasattr(value, "tolist"):  # an array or number of numpy has `tolist`
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -213,6 +213,22 @@ class TextTable:
         wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
         drawn = ["  ".join(f"{x:<{n}}" for x, n in zip(line, wide, strict=True)).rstrip() for line in lines]
         return "\n".join([f"{self.title} {self.words}".rstrip(), *(line for line in drawn if line), *self.notes])
+
+
+class Tabled:
+    """Base class of results that a notebook and a terminal show as their `table()`."""
+
+    def table(self) -> TextTable:
+        """Return the table that is shown; each result has its own."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
 
 
 def _entry(value: Any) -> str:

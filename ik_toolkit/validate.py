@@ -10,9 +10,9 @@ from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
 # numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
 FLOAT = np.dtype(np.float64)
-LATE = 5.0  # largest ratio of a step to the first one; longer steps are divided, so that joint limits are kept
+LATE = 5.0  # a step may be longer than the first one by this factor; one that is longer still is divided, so that limits are kept
 MOST_PARTS = 100_000  # largest number of parts of a step; that many take some seconds
-# option values that only one function accepts, each with the name of that function for the error messages of others
+# By value of an option, the one function that accepts it, which the error messages of others name.
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 

@@ -46,7 +46,7 @@ def _options(
 
 
 def application() -> typer.Typer:
-    """Build the command line from its modules."""
+    """Return the Typer program `ik` with all of its commands."""
     app = typer.Typer(name="ik", cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.callback()(_options)
     for module in MODULES:
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
-    came: list[int] = []  # signals received so far that ended the command
+    came: list[int] = []  # numbers of the signals (SIGINT, SIGTERM) that have ended the command
     if argv is None:
         first_use.allow()
     try:
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(came)
     except Exception as error:
-        if came:  # after a dropped KeyboardInterrupt any error may be a consequence of it
+        if came:  # Python may have dropped the KeyboardInterrupt, and then this error is a consequence
             return _stopped(came)
         if debug:
             raise
@@ -111,7 +111,8 @@ def _explain(error: Exception) -> tuple[str, int]:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "ik"
         option = getattr(error, "option_name", None)
-        if context and option and not getattr(error, "possibilities", True):  # click has not suggested a similar option
+        # if click suggests no option, one with the same words in another order may be meant
+        if context and option and not getattr(error, "possibilities", True):
             names = [name for parameter in context.command.params for name in parameter.opts]
             error.possibilities = [one for one in names if sorted(one.split("-")) == sorted(option.split("-"))]  # type: ignore[attr-defined]
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]

@@ -24,8 +24,6 @@ from ..text import duration, figure
 from .output import notice, progress, show, write_json
 from .streams import uninterrupted
 
-FAILED = ".failed"
-
 
 def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
@@ -37,34 +35,34 @@ def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 class Solutions:
-    """Output file of a batch, used in a `with` block: call `add` for each part; at the end of the block the file gets its name.
+    """Output file for the solutions of many targets, used in a `with` block that calls `add` for each part of the results.
 
-    Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed. The
-    subclasses write the formats.
+    At the end of the block the file is complete and gets its name. If an exception ends the block, the parts written before are
+    kept as NAME.partial, and a notice says so; `fail` keeps them as NAME.failed. There is a subclass for each file format.
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Open a temporary file next to `path`; names: names of the joints. Raises InvalidOption, OSError."""
         self.file, self.names, self.count = WholeFile(path), names, 0
-        self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
+        self.table: Any = None  # the csv.writer or ParquetWriter; None until the first part is written
 
     def write(self, part: BatchResult) -> None:
-        """Write the results of some targets to the file."""
+        """Write one part of the results to the file; each subclass has its own format."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Write what completes the file; most formats need nothing."""
+        """Write what the file format needs at its end, by default nothing."""
 
     def add(self, part: BatchResult) -> None:
-        """Append the results of some targets to the file, and count them."""
+        """Append one part of the results to the file, and add its targets to `count`."""
         with self.file.named():  # errors of numpy and pyarrow do not name the file
             self.write(part)
         self.count += len(part)
 
     def fail(self) -> Path | None:
-        """Keep the parts as NAME.failed; returns that name."""
+        """Close the file and keep it as NAME.failed. Returns its path, or None if it could not be kept."""
         self.close()
-        return self.file.keep(FAILED)
+        return self.file.keep(".failed")
 
     def __enter__(self) -> "Solutions":
         """Return the object itself."""
@@ -77,7 +75,7 @@ class Solutions:
                 self.close()
                 self.file.finish()
             elif self.count and not self.file.stream.closed:
-                with contextlib.suppress(OSError):  # the disk may be full; rows that were written completely are kept
+                with contextlib.suppress(OSError):
                     self.close()
                 if kept := self.file.keep(PARTIAL):
                     notice(f"partial: the first {self.count} solutions are in {kept}")
@@ -86,10 +84,10 @@ class Solutions:
 
 
 class CsvSolutions(Solutions):
-    """Appends parts to a CSV file, numbers written so that they read back the same."""
+    """A CSV file of solutions, to which each part is appended; numbers are written with all their digits."""
 
     def write(self, part: BatchResult) -> None:
-        """Append the results of some targets to the file, all of them or none."""
+        """Append one part of the results as rows, with one call, so that none of its rows is cut off."""
         columns = _columns(part, self.names)
         lines = io.StringIO()
         writer = csv.writer(lines)
@@ -101,10 +99,10 @@ class CsvSolutions(Solutions):
 
 
 class NpzSolutions(Solutions):
-    """Writes a whole batch to an NPZ file, with the names of the tips if there are several."""
+    """An NPZ file of solutions, written in one part; with several tips it also holds their names."""
 
     def write(self, part: BatchResult) -> None:
-        """Write the arrays."""
+        """Write the results of all targets as arrays, with the names of the joints."""
         robot = part.plan.robot
         tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.named_tips else {}
         np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
@@ -112,7 +110,7 @@ class NpzSolutions(Solutions):
 
 
 class ParquetSolutions(Solutions):
-    """Appends parts to a Parquet file as row groups."""
+    """A Parquet file of solutions, to which each part is appended as a row group."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Write to a file. Raises InvalidOption without pyarrow."""
@@ -125,7 +123,7 @@ class ParquetSolutions(Solutions):
         super().__init__(path, names)
 
     def write(self, part: BatchResult) -> None:
-        """Append the results of some targets to the file."""
+        """Append one part of the results as a row group."""
         table = self.arrow.table(_columns(part, self.names))
         if self.table is None:
             self.table = self.arrow.parquet.ParquetWriter(self.file.stream, table.schema)
@@ -145,7 +143,10 @@ FORMATS = {".csv": CsvSolutions, ".npz": NpzSolutions, ".parquet": ParquetSoluti
 # ---------------------------------------------------------------------------------------------------------- the command
 @contextmanager
 def cluster_of(address: str | None) -> Iterator[Any]:
-    """Yield an executor that runs tasks on the Dask scheduler at an address (None without one); Dask repeats lost tasks."""
+    """Context manager: yield an executor that runs tasks on the Dask scheduler at `address`, or None if that is None.
+
+    A task whose worker is lost is run again, up to three times. Raises MissingExtra, and InvalidOption if no scheduler answers.
+    """
     if address is None:
         yield None
         return
@@ -192,7 +193,7 @@ def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[s
         many, interrupted = stop.result, stop
     except BatchCheckFailed as failure:
         _refuse(failure, form(output, arm.joint_names))
-    with form(output, arm.joint_names) as file:  # opened only once the options have been accepted
+    with form(output, arm.joint_names) as file:  # no file is made if the options are refused
         try:
             for part in parts if many is None else iter([many]):
                 with uninterrupted():

@@ -8,8 +8,9 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import write_whole
 from .command import PLOTS, argument, command, option, options, same
-from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, robots_like, solver_named, solvers_like
-from .output import notice, partial, progress, show, table, write_json, write_rows
+from .completion import robots_like, solvers_like
+from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, solver_named
+from .output import notice, partial, progress, run_or_part, show, table, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted
 
@@ -19,7 +20,7 @@ COLUMNS = ("\n%", "one attempt\n95 %", "\nus", "\n%", "with restarts\n95 %", "\n
 
 @options()
 class BenchOptions:
-    """Options for robots, solvers and targets."""
+    """Options for the robots, solvers and targets of `ik bench`."""
 
     robots: list[str] | None = argument(
         "ROBOT", "Names or URDF files; default hydrolek_7w.", default=None, complete=robots_like
@@ -47,7 +48,7 @@ class BenchOptions:
 
 @options("Output")
 class BenchOutput:
-    """Options for what is printed, written and drawn."""
+    """Options for the tables, files and charts of `ik bench`."""
 
     plot: Path | None = option("FILE", "Draw targets solved against time to a .png, .pdf or .svg file.", writes=PLOTS)
     csv_file: Path | None = same(TableOutput, "csv_file")
@@ -69,7 +70,7 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
     ik bench planar_2r hydrolek_7w --solvers lm,dls -n 100 --tolerance 1e-4
     ik bench hydrolek_7w --csv bench.csv --latex bench.tex
     """
-    from ..study.benchmark import BenchmarkInterrupted, benchmark
+    from ..study.benchmark import benchmark
 
     chosen = [solver_named(name.strip()) for text in asked.solvers or () for name in text.split(",") if name.strip()]
     names = asked.robots or ["hydrolek_7w"]
@@ -78,20 +79,17 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
     robots = [RobotOptions(robot=name, tip=asked.tip) for name in names]
     arms = [robot.load(robot.tips) for robot in robots]
     options = {name: value for name, value in given(asked).items() if name not in ("robots", "solvers", "tip")}
-    stopped, counted = False, (0, 0)
-    try:
-        with progress("solving", None) as bar:
+    counted = 0, 0
+    with progress("solving", None) as bar:
 
-            def step(done: int, count: int) -> None:
-                nonlocal counted
-                counted = done, count
-                bar(done, total=count)
+        def step(done: int, count: int) -> None:
+            nonlocal counted
+            counted = done, count
+            bar(done, total=count)
 
-            found = benchmark(arms, chosen or None, progress=step, **options)
-    except BenchmarkInterrupted as interrupt:
-        found, stopped = interrupt.result, True
-        if not found.rows:
-            raise KeyboardInterrupt from None
+        found, stopped = run_or_part(lambda: benchmark(arms, chosen or None, progress=step, **options))
+    if stopped and not found.rows:
+        raise KeyboardInterrupt
     with uninterrupted():
         output, csv_file, latex = (
             partial(file) if stopped and file is not None else file for file in (out.output, out.csv_file, out.latex)

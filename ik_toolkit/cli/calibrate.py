@@ -10,7 +10,7 @@ import typer
 from ..errors import InvalidOption, InvalidTarget
 from ..files import as_output, write_table
 from ..text import figure, length, numbers, vector
-from .command import PLOTS, alone, command, option, options
+from .command import PLOTS, command, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
 from .output import heading, notice, show, table, turns, write_json
 from .pictures import chart
@@ -18,7 +18,7 @@ from .pictures import chart
 
 @options()
 class CalibrateOptions:
-    """Options for what was measured, what may be wrong, and the files."""
+    """Options of `ik calibrate`: what was measured, which errors are looked for, and which files are written."""
 
     data: Path | None = option(
         "FILE",
@@ -44,7 +44,9 @@ class CalibrateOptions:
         "M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.", needs=["--data"]
     )
     suggest: int | None = option(
-        "N", "Write N configurations to measure to -o, a .csv; with --data beside those measured."
+        "N",
+        "Write N configurations to measure to -o, a .csv; with --data beside those measured.",
+        without=["--html", "--plot"],
     )
     output: Path | None = option(
         "FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[]
@@ -62,8 +64,8 @@ class CalibrateOptions:
 def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: JsonOutput) -> None:
     """Find where an arm really goes: errors of its joints, links and tool from measurements of its tip, and a corrected URDF.
 
-    Positions, poses or distances from an instrument, or touches of sockets or planes. What the data cannot tell is named.
-    Exit code 1 when the result is not credible: errors far larger than assumed, or much left.
+    Measurements are positions, poses or distances from an instrument, or touches of sockets or planes. Errors that they cannot
+    determine are named. Exit code 1 when the result is not credible: errors are far larger than assumed, or large ones remain.
 
     Examples:
     ik calibrate hydrolek_7w --suggest 30 -o poses.csv
@@ -72,8 +74,6 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     """
     if asked.data is None and asked.suggest is None:
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")
-    if asked.suggest is not None:
-        alone("--suggest", {"--html": asked.html, "--plot": asked.plot})
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)
@@ -137,7 +137,7 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]
         return what, Q * (unit if Q.ndim == 2 and Q.shape[1] == arm.n else 1.0), measured
     if path.suffix.lower() != ".csv" or not path.is_file():
         raise InvalidTarget(f"--data takes an existing .csv or .npz file, not '{path}'")
-    kinds = ("socket", "plane", "distance")  # kinds of measurement with a column of their own
+    kinds = ("socket", "plane", "distance")  # for these kinds the file has a column of this name
     header, Q = read_columns(path, arm.joint_names)
     Q = Q * unit
     what = asked.what or next((kind for kind in kinds if kind in header), None)

@@ -21,7 +21,6 @@ from ..text import comma_hint, decimal, numbers
 from .usage import UsageError, help_text, in_flags
 
 TIP = ("--tip", "--ee")  # both names of the option for a tip
-TARGET = ("xyz", "matrix")  # options that each give a whole target
 MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
 PLOTS = (".png", ".pdf", ".svg")
 REQUIRED = MISSING  # as a default, it makes an option or argument mandatory
@@ -38,20 +37,21 @@ def option(
     writes: Sequence[str] | None = None,
     complete: Callable[..., Any] | None = None,
     needs: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> Any:
     """Return a dataclass field for an option with a value, which is named after the field unless `names` are given.
 
     A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
     `--q "0.1 -0.2"` mean the same. panel: the group in the help, by default the class's. writes: suffixes of the file
-    that the option names and `ik` writes; an empty list allows any. complete: completes a word in the shell. needs: options
+    that the option names and `ik` writes; an empty list allows any. complete: lists what the shell offers. needs: options
     ("--retime", "--on-limit slow", an argument as "PAPER") without which it has no effect; one of them must be given, if
-    the command has any of them.
+    the command has any of them. without: options that are refused beside it, because one of the two would have no effect.
     """
     check = None if writes is None else writable(*writes)
     made = typer.Option(
         *names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check, autocompletion=complete
     )
-    return _field(default, made, needs)
+    return _field(default, made, needs, without)
 
 
 def flag(
@@ -61,9 +61,10 @@ def flag(
     panel: str | None = None,
     hidden: bool = False,
     needs: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> Any:
     """Return a dataclass field for an option without a value: --name, or --name/--no-name if it can be negated."""
-    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden), needs)
+    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden), needs, without)
 
 
 def argument(metavar: str, meaning: str, default: Any = REQUIRED, complete: Callable[..., Any] | None = None) -> Any:
@@ -71,14 +72,18 @@ def argument(metavar: str, meaning: str, default: Any = REQUIRED, complete: Call
     return _field(default, typer.Argument(metavar=metavar, help=meaning, autocompletion=complete))
 
 
-def same(record: Any, name: str, default: Any = REQUIRED) -> Any:
-    """Return a dataclass field that repeats an option of another class, with the same default or another one."""
+def same(record: Any, name: str, default: Any = REQUIRED, without: Sequence[str] = ()) -> Any:
+    """Return a dataclass field that repeats an option of another class, with the same default or another one.
+
+    without: options that are refused beside it, as for `option`; they replace those of the other class.
+    """
     (one,) = (one for one in fields(record) if one.name == name)
-    return field(default=one.default if default is REQUIRED else default, metadata=one.metadata)
+    metadata = {**one.metadata, "without": without} if without else one.metadata
+    return field(default=one.default if default is REQUIRED else default, metadata=metadata)
 
 
-def _field(default: Any, info: Any, needs: Sequence[str] = ()) -> Any:
-    return field(default=default, metadata={"info": info, "needs": needs})
+def _field(default: Any, info: Any, needs: Sequence[str] = (), without: Sequence[str] = ()) -> Any:
+    return field(default=default, metadata={"info": info, "needs": needs, "without": without})
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
@@ -89,7 +94,8 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # making eq and repr takes time
+        # nothing uses eq and repr, and making them takes time
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         for one in _declared(made):
             info = one.metadata["info"]
             info.rich_help_panel = info.rich_help_panel or panel or "Options"
@@ -118,11 +124,11 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             **{name: cls(**{one.name: values[one.name] for one in _declared(cls)}) for name, cls in records.items()}
         )
 
-    parameters, needs = [], {}
+    parameters, rules = [], {}
     for record in records.values():
         types = get_type_hints(record)
         for one in _declared(record):
-            needs[one.name] = one.metadata["needs"]
+            rules[one.name] = one.metadata
             kind, info = inspect.Parameter.KEYWORD_ONLY, one.metadata["info"]
             default = inspect.Parameter.empty if one.default is MISSING else one.default
             if number := {*get_args(types[one.name]), types[one.name]} & {int, float}:
@@ -131,14 +137,14 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             parameters.append(inspect.Parameter(one.name, kind, default=default, annotation=annotation))
     run.__annotations__ = {one.name: one.annotation for one in parameters}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.needs = needs  # type: ignore[attr-defined]
+    run.rules = rules  # type: ignore[attr-defined]
     return run
 
 
 def add_commands(app: typer.Typer, module: Any) -> None:
     """Add the commands of a module to the command line program."""
     for one in vars(module).values():
-        if hasattr(one, "needs") and one.__module__ == module.__name__:
+        if hasattr(one, "rules") and one.__module__ == module.__name__:
             # the docstring is None under python -OO
             said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
@@ -146,7 +152,7 @@ def add_commands(app: typer.Typer, module: Any) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- files
 def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """Return a check of an output path that reports foreseeable mistakes before the work starts."""
+    """Return a callback that checks an output path before the work starts: suffix, folder, and matplotlib if it is a plot."""
 
     def check(param: typer.CallbackParam, file: Path | None) -> Path | None:
         if file is None:
@@ -162,7 +168,7 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
 
 
 def numeric(kind: type) -> Callable[[typer.CallbackParam, Any], Any]:
-    """Return a reader of an option's number (kind: float or int), which raises InvalidOption for nan and what `decimal` refuses."""
+    """Return a callback that reads an option's text as a float or int (kind); it raises InvalidOption for nan and for text."""
 
     def read(param: typer.CallbackParam, given: Any) -> Any:
         if given is None:
@@ -193,42 +199,41 @@ def above_zero(value: float, name: str) -> float:
 
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
-    """A command that refuses several tips if it takes one, an output that is also an input, and two outputs to the same file."""
+    """Click's class for each command; it also refuses several tips where one is taken, and a file that is input and output, or two
+    outputs.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments. Raises InvalidOption."""
+        """Parse the words of the command line. Raises InvalidOption for a second target or tip, UsageError for unknown options."""
         several = {
             name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
         }
         args = _joined(args, several)
-        # The shell asks for a completion; an option at the end that still lacks its value would hide the arguments.
+        # When the shell asks for a completion, an option at the end that still lacks its value would stop the parser.
         if ctx.resilient_parsing:
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
-        given = {word.partition("=")[0] for word in args}
-        if "--group" in given and given.intersection(TIP):
-            raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        # if several tips were accepted here, only the last would count
+        # click would use only the last of several tips
         if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):
             names = " or ".join(TIP)
             raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")
         for one in self.params:
-            if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
+            if one.name in ("xyz", "matrix") and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            # the parser gets a copy of the arguments, because it empties its list
+            # the parser gets a copy, because it empties its list
             return super().parse_args(ctx, [*args])
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
             raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
+        """Write the help text of this command."""
         formatter.write(help_text(self, ctx))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InvalidOption."""
-        self._require_effect(ctx)
+        """Run the command. Raises InvalidOption for an option without effect; errors of the library name options, not arguments."""
+        self._check_together(ctx)
         written = [
             ctx.params[one.name] for one in self.params if one.callback and isinstance(ctx.params[one.name], Path)
         ]
@@ -239,7 +244,7 @@ class Command(typer.core.TyperCommand):
             for word in value if isinstance(value, list | tuple) else [value]:
                 if not isinstance(word, str | Path) or any(word is output for output in written):
                     continue
-                # the part FILE of an argument SOLVER=FILE
+                # an argument SOLVER=FILE reads FILE
                 read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
@@ -251,8 +256,8 @@ class Command(typer.core.TyperCommand):
             error.args = (in_flags(str(error), self), *error.args[1:])
             raise
 
-    def _require_effect(self, ctx: Any) -> None:
-        """Raise InvalidOption for an option that was given without any of those that it needs."""
+    def _check_together(self, ctx: Any) -> None:
+        """Raise InvalidOption for an option that was given without any of those that it needs, or beside one that it excludes."""
         values = {
             name.upper() if one.param_type_name == "argument" else name: ctx.params[one.name]
             for one in self.params
@@ -263,19 +268,15 @@ class Command(typer.core.TyperCommand):
             name, _, value = need.partition(" ")
             return values[name] == value if value else bool(values[name])
 
-        rules: dict[str, Sequence[str]] = self.callback.needs  # type: ignore[union-attr]
-        for one in self.params:
-            needs = [need for need in rules[one.name] if need.partition(" ")[0] in values]
-            if needs and ctx.get_parameter_source(one.name).name == "COMMANDLINE" and not any(map(met, needs)):
-                names = "/".join([*one.opts, *one.secondary_opts])
+        typed = [one for one in self.params if ctx.get_parameter_source(one.name).name == "COMMANDLINE"]
+        given = {name for one in typed for name in one.opts}
+        for one in typed:
+            rules, names = self.callback.rules[one.name], "/".join([*one.opts, *one.secondary_opts])  # type: ignore[union-attr]
+            needs = [need for need in rules["needs"] if need.partition(" ")[0] in values]
+            if needs and not any(map(met, needs)):
                 raise InvalidOption(f"{names} has no effect without {' or '.join(needs)}")
-
-
-def alone(option: str, others: dict[str, Any]) -> None:
-    """Raise InvalidOption if any of the others (values by names) is given beside an option that leaves them without effect."""
-    given = [name for name, value in others.items() if value]
-    if given:
-        raise InvalidOption(f"{option} goes without {' and '.join(given)}")
+            if excluded := [name for name in rules["without"] if name in given]:
+                raise InvalidOption(f"{names} goes without {' and '.join(excluded)}")
 
 
 def _joined(words: Sequence[str], several: set[str]) -> list[str]:
@@ -285,7 +286,7 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     for position, word in enumerate(words):
         if word == "--":
             return [*joined, *words[position:]]
-        if collecting and joined[-1].endswith("="):  # the first number, which may follow "TIP:"
+        if collecting and joined[-1].endswith("="):  # this word is the first number, alone or as TIP:NUMBER
             joined[-1] += word
             continue
         if collecting and _like_a_number(word):

@@ -14,21 +14,23 @@ import typer
 
 from ..errors import extras
 from . import first_use
-from .command import alone, command, flag, options
+from .command import command, flag, options
 from .options import JsonOutput
 from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
-ROOM = 2**21  # [bytes] free space needed; the largest file of compiled code takes less
-DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras for developers only
+ROOM = 2**21  # [bytes] free space that is tested; every file of compiled code is smaller
+DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that only developers need are not reported
 
 
 @options()
 class DoctorOptions(JsonOutput):
-    """Options of `ik doctor` beyond checking."""
+    """Options of `ik doctor`, which compile code instead of checking the installation."""
 
-    prepare: bool = flag("--prepare", "Compile what the default solvers need now; about half a minute, once.")
+    prepare: bool = flag(
+        "--prepare", "Compile what the default solvers need now; about half a minute, once.", without=["--json"]
+    )
     background: bool = flag("--background", "", hidden=True)
 
 
@@ -44,7 +46,6 @@ def doctor(asked: DoctorOptions) -> None:
     ik doctor --prepare
     """
     if asked.prepare:
-        alone("--prepare", {"--json": asked.as_json})
         _prepare(asked.background)
         return
     rows = [*_versions(), *_extras(), _compiler(), _cache(), *_background(), _pinocchio(), _robots()]
@@ -142,7 +143,7 @@ def _cache() -> dict[str, Any]:
         from ..kernel.chain import forward_kinematics
 
         folder, broken = damaged(forward_kinematics)
-    except Exception as error:  # the installation is broken, and the rows above say in which part
+    except Exception as error:  # other rows of the report say which part of the installation is broken
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
         why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")

@@ -13,26 +13,27 @@ from ..errors import CONTROLS, IKError, ModelError
 from ..files import write_whole
 from ..text import how_many, in_shell
 from .command import argument, command, flag, option, options, same
-from .options import JsonOutput, RobotOptions, assignments, robots_like
+from .completion import robots_like
+from .options import JsonOutput, RobotOptions, assignments
 from .output import notice, progress, show, table, write_json
 
 
 @options("Robot")
 class FileOptions(JsonOutput):
-    """Options for how a robot description is read."""
+    """Options for reading a robot description: folders of packages, xacro arguments."""
 
     package_dir: list[str] | None = same(RobotOptions, "package_dir")
     xacro_arg: list[str] | None = same(RobotOptions, "xacro_arg")
 
     def read(self, *more: Any) -> dict[str, Any]:
-        """Return the options for reading a description; more: folders to search after those of --package-dir."""
+        """Return the keyword arguments for loading a description; more: folders to search after those of --package-dir."""
         arguments = assignments(self.xacro_arg, "--xacro-arg", ":=") or None
         return {"package_dirs": [*(self.package_dir or ()), *more], "xacro_args": arguments}
 
 
 @options()
 class DhOptions(JsonOutput):
-    """Options for the D-H table and the file of the URDF."""
+    """Options of `ik dh`: the D-H table, and the file for its URDF."""
 
     table: str = argument(
         "TABLE", "D-H table, a .toml or .csv file; a .csv begins with lines such as '# convention = classic'."
@@ -44,7 +45,7 @@ class DhOptions(JsonOutput):
 
 @options()
 class ConvertOptions(FileOptions):
-    """Options for the robot and the file of its URDF."""
+    """Options of `ik convert`: the robot, and the file for its URDF."""
 
     robot: str = same(RobotOptions, "robot")
     output: Path | None = same(DhOptions, "output")
@@ -52,7 +53,7 @@ class ConvertOptions(FileOptions):
 
 @options()
 class CheckOptions(FileOptions):
-    """Options for the file and what is checked in it."""
+    """Options of `ik check`: the description to check, and whether to look for pairs of links that cannot collide."""
 
     urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.", complete=robots_like)
     sampled: bool = flag(
@@ -99,7 +100,7 @@ def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
 
 @command
 def check(asked: CheckOptions) -> None:
-    """Validate a robot's URDF (or the one that its xacro or MJCF comes to), element by element.
+    """Validate a robot's URDF (or the URDF made from its xacro or MJCF), element by element.
 
     --self-collision also finds the pairs of links that need no collision test: adjacent, always touching, touching by
     construction, or never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf
@@ -169,7 +170,10 @@ def _self_collision(entry: Any, tip: str, options: dict[str, Any], samples: int 
 
 
 def every_finding(source: str, entry: Any, options: dict[str, Any]) -> tuple[list[Any], list[Any], bool]:
-    """Return all findings, errors first; the robots that can be loaded; whether lines are those of a text made from the file."""
+    """Return the findings of `ik check`, errors first, a Robot for each tip, and whether the URDF was made from another format.
+
+    If it was, line numbers in the findings are those of the URDF that was made.
+    """
     from ..robot.formats.finding import error_finding, notes, odd
     from ..robot.formats.urdf_check import check_urdf
     from ..robot.formats.urdf_model import build_model

@@ -17,19 +17,19 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-# Environment variables: the user sets the first to compile and wait; the second is set for the second run, which does not compile.
+# Environment variables: a user sets WAIT to wait for compilation; INTERPRETED is set for the run that does not compile.
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable that marks the second or third run of a command
 BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled code
+LOCK, LOG = "compiling.lock", "compiling.log"  # files of the background process in the folder of compiled code
 # name of a file that exists while a background process compiles, and remains if that process dies
 BEGUN = "compiling.begun"
 _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """Code must be compiled first. folder: where the compiled code would be cached, or None."""
+    """Raised where a command would begin to compile. `folder` is where the compiled code would be cached, or None."""
 
     def __init__(self, folder: Path | None) -> None:
         """Store the folder of the cache."""
@@ -43,12 +43,12 @@ class _Stop(logging.Handler):
 
 
 def allow() -> None:
-    """Allow this process to run again uncompiled, unless the environment asks to wait or names a build machine (CI)."""
+    """Let `instead_of_compiling` take effect, unless the environment asks to wait (IK_TOOLKIT_WAIT) or is that of a build (CI)."""
     _here["allowed"] = not any(os.environ.get(name) for name in (WAIT, INTERPRETED, "CI", "NUMBA_DISABLE_JIT"))
 
 
 def budget() -> int | None:
-    """Return how many evaluations a run without compilation may make; None in any other run."""
+    """Return the largest number of evaluations of a run without compilation, None for a compiled run."""
     return BUDGET if os.environ.get(INTERPRETED) else None
 
 
@@ -61,7 +61,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Context manager: if `allow` was called, CompileNeeded is raised instead of compiling anything."""
+    """Context manager: code in the block raises CompileNeeded instead of compiling, if `allow` was called before."""
     _here["past"] = True
     if not _here["allowed"]:
         yield
@@ -75,20 +75,21 @@ def instead_of_compiling() -> Iterator[None]:
 
 
 def said_before() -> bool:
-    """Return whether the notices of this moment were already shown by an earlier run of the same command.
+    """Return whether an earlier run of this command has already shown the messages that are logged now.
 
-    This is so in a rerun (AGAIN is set) until it passes the point where the first run stopped because it would have had to
-    compile.
+    This is so in a second or third run (the variable AGAIN is set), until it passes the point where the first run stopped because
+    code had to be compiled.
     """
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
 def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) -> int:
-    """Run the command without compilation, then compile in the background; return its exit code.
+    """Run the command again without compilation, then start to compile in the background; return the command's exit code.
 
-    came: signals that have raised KeyboardInterrupt.
+    arguments: words of the command line. folder: where compiled code is cached, or None. came: numbers of the signals that have
+    raised KeyboardInterrupt.
     """
-    # Modules are searched as in this process; `-m` would also search the current folder, whose files must not be run.
+    # The child imports from the same folders; `python -m` would also import from the current one, whose files must not be run.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
@@ -103,7 +104,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
         return code
     from ..compile.cache import folder as common
 
-    folder = common() or folder  # the folder for the log, also if the code itself is cached elsewhere (closed forms)
+    folder = common() or folder  # the log is always here, although code of closed forms is cached elsewhere
     if why := died(folder):
         notice(f"solved without compiled code: {why}")
         return code
@@ -139,9 +140,9 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Context manager: yield whether no other process compiles in the background; if so, take a lock and lower the priority.
+    """Context manager for background compilation: yield True and hold a lock, or False if another process holds it.
 
-    A process that ends by an error or dies leaves a file that `died` finds; one stopped by a signal does not.
+    The process gets the lowest priority. If it fails or is killed, a file remains that `died` finds; Ctrl-C removes the file.
     """
     os.nice(19)
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,7 +182,7 @@ def _versions() -> str:
 
 
 def compiling(folder: Path) -> bool:
-    """Return whether a process compiles in the background."""
+    """Return whether another process is compiling in the background into this folder."""
     try:
         with open(folder / LOCK) as lock:
             return not _lock(lock)
@@ -190,7 +191,7 @@ def compiling(folder: Path) -> bool:
 
 
 def died(folder: Path) -> str:
-    """Return how a background compilation with these versions died, as text; '' if none did."""
+    """Return a sentence on how a background compilation of the installed versions failed, '' if none did."""
     try:
         if compiling(folder) or (folder / BEGUN).read_text() != _versions():
             return ""
@@ -203,5 +204,5 @@ def died(folder: Path) -> str:
 
 
 def forget(folder: Path) -> None:
-    """Remove the mark of an unfinished compilation."""
+    """Remove the file that marks an unfinished background compilation."""
     (folder / BEGUN).unlink(missing_ok=True)

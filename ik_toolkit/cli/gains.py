@@ -14,7 +14,7 @@ from .track_path import PathOptions, asked_path
 
 @options()
 class GainsOptions(PathOptions):
-    """Options for the gains and where they are judged."""
+    """Options of `ik gains`: the tracking method and its gains, and the path along which they are judged."""
 
     path: str | None = option("SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: at rest alone.")
     method: str = option("NAME", "cv, av, ca, aa or aad.", "-m", "--method", default="cv")
@@ -22,7 +22,7 @@ class GainsOptions(PathOptions):
 
 @options()
 class LateOptions:
-    """Options for joints that are measured late and fed back directly."""
+    """Options for the delay and the noise of measured joints."""
 
     delay: float = option("N", "Age of measured joints that are fed back directly [samples].", default=0.0)
     noise: float | None = option("RAD", "RMS noise of the measured joints [rad or m].")
@@ -58,10 +58,10 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
             raise InvalidOption("gains with a delay are judged at rest only; omit --delay or --path")
         q0 = joint_vector(arm, asked.q0, "--q0", robot.deg)
         along_path = {"robot": arm, "path": asked_path(arm, asked, q0, {}, 1e-3).reference, "q0": q0}
-    used = chosen(asked)  # raises an error for a rate of 0, before the division below
+    used = chosen(asked)  # this refuses a rate of 0 before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
-    if along_path and check.longest_step > 0.0:  # otherwise the gains are stable at no rate
+    if along_path and check.longest_step > 0.0:  # 0: the gains are stable at no rate
         arguments: dict[str, Any] = along_path | used
         least = least_rate(method=asked.method, **arguments)
     names = ("rate", "most", "at_rest", "bands", "largest_move", "message")
@@ -81,7 +81,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
 
 
 def chosen(asked: PathOptions) -> dict[str, float]:
-    """Return the gains given by options, completed by the best ones for the rate. Raises InvalidOption."""
+    """Return the gains of the tracking method by name: those given as options, and the best for the sample rate for all others."""
     from ..servo.stability import best_gains
 
     h = 1.0 / above_zero(asked.rate, "--rate")
@@ -89,7 +89,7 @@ def chosen(asked: PathOptions) -> dict[str, float]:
 
 
 def judged(check: Any) -> str:
-    """Return the verdict of a GainCheck in a few words."""
+    """Return text on whether the gains of a GainCheck are stable: the spectral radius at rest, and the result along the path."""
     text = f"spectral radius {check.radius:.4g} at rest"
     if check.along is not None:
         text += f"; along the path {check.along.words}"
@@ -97,9 +97,9 @@ def judged(check: Any) -> str:
 
 
 def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], most: int = 3000) -> Any:
-    """Return a GainCheck of a run, extended by the error growth along the path if that can be computed, else unchanged.
+    """Return the GainCheck of a tracking run, completed by the growth of errors along the path where that can be computed.
 
-    A path of more than `most` samples is not judged, as that would take longer than the run.
+    The check is unchanged for a path of more than `most` samples, which would take longer than the run.
     """
     from ..motion.reference import Reference
     from ..robot.robot import Robot

@@ -1,93 +1,48 @@
 """The options that several commands share: the robot, what counts of a target, collisions, tolerances, output."""
 
-import contextlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import typer
-
-from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
 from ..text import comma_hint, numbers, parameter, vector, with_points
 from .command import TIP, argument, flag, option, options
+from .completion import links_like, robots_like, tips_like
 from .output import notice, turns
 
-OBSTACLES = {  # numbers that describe an obstacle, and how many of them are sizes
+OBSTACLES = {  # by kind of obstacle, its numbers, and how many of them are sizes
     "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
     "sphere": ("x,y,z,radius", 1),
     "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
 }
 
 
-# ---------------------------------------------------------------------------------------------- completion in the shell
-def robots_like(incomplete: str) -> list[tuple[str, str]]:
-    """Return the robots whose names begin with a word, and descriptions; if there are none, the shell completes file names."""
-    from ..robot.library import data_files, list_robots
-
-    known = {entry.name: entry.description for entry in list_robots()}
-    # The other robots of example-robot-data, whose tips are guessed, are offered only if no known one matches.
-    for names in (known, dict.fromkeys(data_files(), "example-robot-data")):
-        if found := [row for row in names.items() if row[0].startswith(incomplete)]:
-            return found
-    return []
-
-
-def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the links of the given robot whose names begin with a word."""
-    from ..robot.formats.urdf import parse, safe_read
-    from ..robot.library import find
-
-    with contextlib.suppress(IKError):
-        items = parse(safe_read(find(ctx.params.get("robot") or "").source))
-        return [item.name for item in items if item.tag == "link" and item.name.startswith(incomplete)]
-    return []
-
-
-def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the known tips of the given robot, or else its links, whose names begin with a word."""
-    from ..robot.library import find
-
-    with contextlib.suppress(IKError):
-        if found := [tip for tip in find(ctx.params.get("robot") or "").tips if tip.startswith(incomplete)]:
-            return found
-    return links_like(ctx, incomplete)
-
-
-def solvers_like(incomplete: str) -> list[tuple[str, str]]:
-    """Return the solvers whose names begin with the last word of a list, and descriptions."""
-    from ..solvers.registry import list_rows
-
-    before, comma, word = incomplete.rpartition(",")
-    rows = [("auto", "the one that fits robot and target"), *((row.name, row.summary) for row in list_rows())]
-    return [(before + comma + name, what) for name, what in rows if name.startswith(word)]
-
-
 # -------------------------------------------------------------------------------------------------------------- output
 @options("Output")
 class JsonOutput:
-    """Options for what is printed."""
+    """The option --json of a command."""
 
     as_json: bool = flag("--json", "Print one JSON object, always in metres and radians.")
 
 
 @options("Output")
 class TableOutput(JsonOutput):
-    """Options for what is printed, and for a table."""
+    """The options --json and --csv of a command whose result is a table."""
 
     csv_file: Path | None = option("FILE", "Write the table to a .csv.", "--csv", writes=[".csv"])
 
 
 @options("Output")
 class ObjectOutput(JsonOutput):
-    """Options for what is printed and written."""
+    """The options --json and -o of a command whose result is one JSON object."""
 
     output: Path | None = option("FILE", "Also write the JSON object to a .json.", "-o", "--output", writes=[".json"])
 
 
 @options("Output")
 class SceneOutput(JsonOutput):
-    """Options for what is printed and shown in 3-D."""
+    """The options --json, --html and --view of a command whose result can be shown in 3-D."""
 
     html: Path | None = option(
         "FILE", "Write the scene as one HTML file that needs no network.", "--html", writes=[".html", ".htm"]
@@ -113,7 +68,11 @@ class RobotOptions:
         "X Y Z", "Where the robot's root stands in the world [m]; targets and poses are then given in the world."
     )
     base_rpy: str | None = option("R P Y", "How it stands there: roll, pitch, yaw [rad].")
-    rail: str | None = option("LOWER UPPER", "Put the robot on a rail along x, with these limits [m]: joint base_x.")
+    rail: str | None = option(
+        "LOWER UPPER",
+        "Put the robot on a rail along x, with these limits [m]: joint base_x.",
+        without=["--base-xyz", "--base-rpy"],
+    )
     lock: list[str] | None = option("JOINT=VALUE", "Hold a joint at a value; may be repeated.")
     limit: list[str] | None = option(
         "JOINT:LOWER:UPPER",
@@ -123,16 +82,16 @@ class RobotOptions:
     package_dir: list[str] | None = option("DIR", "Folder to search for package:// names.")
     xacro_arg: list[str] | None = option("NAME:=VALUE", "Value of a xacro file's argument; may be repeated.")
     srdf: str | None = option("FILE", "SRDF of the robot; default: the one next to its file (see ik info).")
-    group: str | None = option("NAME", "Group of the SRDF, which sets base and tips.")
+    group: str | None = option("NAME", "Group of the SRDF, which sets base and tips.", without=["--tip"])
     deg: bool = flag("--deg", "Angles in degrees; lengths stay in metres.", panel="Output")
 
     @property
     def tips(self) -> str | list[str] | None:
-        """Return the tip of a Robot, or a list of tips for a Tree if several are given."""
+        """The tips of --tip as `load` takes them: one name, a list of several, or None."""
         return self.tip[0] if self.tip and len(self.tip) == 1 else self.tip or None
 
     def load(self, tips: str | list[str] | None) -> Any:
-        """Load the Robot (for a list of tips, or a group with several: the Tree) that the options describe."""
+        """Load the robot that the options describe: a Tree for a list of tips or a group of several, otherwise a Robot."""
         robot = self._read(tips)
         if self.lock:
             values = {}
@@ -176,8 +135,6 @@ class RobotOptions:
                 raise InvalidOption("--base-xyz and --base-rpy take finite numbers")
             more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
         if self.rail is not None:
-            if "on_base" in more:
-                raise InvalidOption("a robot on a rail has no fixed base; give --rail or --base-xyz and --base-rpy")
             more |= {"on_base": "rail", "base_limits": vector(self.rail, "--rail", 2)}
         tips = find(source).tips
         if self.group is None and tip is None and len(tips) > 1:
@@ -199,13 +156,13 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Return what `load` takes: one tip or None (its default) for a Robot, or a list of tips for a Tree.
+        """Return the tips to load: one name, or None for the default tip, makes a Robot; a list makes a Tree.
 
-        The tips are those of --tip. Without it they are all that the robot lists, or those that the targets name if it lists others
-        or none. With --group, `load` finds the tips itself; then None (no targets) makes a Robot if there is only one, and [] a
-        Tree.
+        The tips are those of --tip. Without it they are all listed for the robot, or, if the targets name any other, those of the
+        targets. With --group, `load` takes the tips of the group: then None (no targets) makes a Robot if there is one tip, and []
+        always makes a Tree.
 
-        given: targets by tip, or None without --target; relative: --relative; one: whether a single target without a tip is
+        given: targets by tip, None without --target. relative: {TIP: OTHER} of --relative. one: whether a target without a tip is
         given. Raises InvalidOption.
         """
         if self.group is not None:
@@ -236,14 +193,14 @@ class RobotOptions:
 
 @options()
 class WholeRobot(RobotOptions):
-    """Options for a robot whose joint limits cannot be narrowed."""
+    """Options for the robot, without --limit."""
 
     limit: None = None
 
 
 @options("Robot")
 class OneTip(WholeRobot):
-    """Options for a robot with one tip."""
+    """Options for the robot of a command that takes one tip."""
 
     tip: str | None = option(
         "FRAME", "Tip: a frame, link or joint; default: guessed from its name and reported.", *TIP, complete=tips_like
@@ -251,21 +208,21 @@ class OneTip(WholeRobot):
 
 
 def slides(robot: Any, joint: str) -> bool:
-    """Return whether any joint of the model (on the path to the tip or not, also a mimic joint) is prismatic."""
+    """Return whether a joint of the robot's model is prismatic; it may be off the path to the tip, or mimic another joint."""
     model = robot.model
     # the first three rows of a joint's motion subspace are its translation
     return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
 
 
 def kind_of(robot: Any, joint: str) -> str:
-    """Return the kind of any joint of the model: 'prismatic' or 'revolute', which determines its unit."""
+    """Return the kind of a joint of the robot's model, 'prismatic' or 'revolute'; it may be off the path to the tip."""
     return "prismatic" if slides(robot, joint) else "revolute"
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
-    """Return joint values (n,) [rad or m] of an option, or of the configuration it names; None if it is not given.
+    """Read joint values (n,) [rad or m] from an option's text: numbers, or the name of a configuration; None if text is None.
 
-    Values of revolute joints are in degrees when `deg`.
+    name: the option, for error messages. deg: whether the text has degrees for revolute joints.
     """
     if text is None:
         return None
@@ -285,14 +242,14 @@ def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
 
 
 def solver_named(text: str) -> Any:
-    """Return a solver's name unchanged, or for FILE.py:CLASS the class. Raises InvalidOption."""
+    """Return the solver class for a text FILE.py:CLASS, any other text (a solver's name) unchanged. Raises InvalidOption."""
     from ..solvers.registry import is_solver_file, solver_from_file
 
     return solver_from_file(text) if is_solver_file(text) else text
 
 
 def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict[str, str]:
-    """Split NAME=VALUE arguments of an option. Raises InvalidOption when one has no '=' (or `mark`)."""
+    """Return the NAME=VALUE texts of an option as a dict. Raises InvalidOption for a text without name, `mark` or value."""
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)
@@ -304,13 +261,13 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
 
 
 def parameters(pairs: Sequence[str] | None) -> dict[str, Any]:
-    """Return the parameters set by -p, with their values read."""
+    """Return the parameters that -p NAME=VALUE sets, by name; values are numbers, truth values, lists or words."""
     return {name: parameter(name, text) for name, text in assignments(pairs, "-p").items()}
 
 
 # ------------------------------------------------------------------------------------------------ tolerances, obstacles
 def given(record: Any) -> dict[str, Any]:
-    """Return the options of a class that were given (are not None), by name."""
+    """Return those fields of an options object that are not None, by name."""
     return {name: value for name, value in vars(record).items() if value is not None}
 
 
@@ -339,7 +296,7 @@ class FileOptions:
     )
 
     def convention(self, deg: bool) -> Any:
-        """Return units and angle convention of the file."""
+        """Return how a file of poses is read: its length unit, its Euler angles, and whether angles are in degrees (deg)."""
         from ..robot.pose_files import Convention
 
         given = Convention(self.length_unit or "m", deg, self.euler).check()
@@ -351,7 +308,7 @@ class FileOptions:
         return given
 
     def poses(self, path: Path, arm: Any, deg: bool, what: str = "targets") -> Any:
-        """Read a whole file of poses (N, 4, 4), or positions (N, 3) [m]; for several tips a dict by tip."""
+        """Read a file: poses (N, 4, 4) or positions (N, 3) [m], for several tips a dict by tip. what: their name in errors."""
         import numpy as np
 
         from ..robot.pose_files import read_poses
@@ -376,7 +333,7 @@ class CollisionOptions:
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
 
     def read(self, arm: Any) -> dict[str, Any]:
-        """Return {"avoid_collisions": ...}, or {} if not asked for; obstacles [m, rad] are placed in the base frame."""
+        """Return the argument avoid_collisions of a solver as a dict: True, or a CollisionModel with the obstacles; {} without."""
         if not self.obstacle and self.margin is None:
             return {"avoid_collisions": True} if self.avoid_collisions else {}
         from ..robot.geometry.collision import CollisionModel

@@ -11,7 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import clean
+from ..errors import Interrupted, clean
 from ..files import PARTIAL, write_table, write_whole
 from ..text import in_shell, plain
 from .streams import uninterrupted
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-WRAPPED = 12  # least width [characters] of a table column with names or sentences
+WRAPPED = 12  # least width [characters] of a table column that wraps
 
 
 def notice(text: str) -> None:
-    """Print one line of prose on stderr, if it can be written."""
+    """Print one line on stderr; nothing happens if stderr cannot be written."""
     try:
         print(clean(in_shell(text)), file=sys.stderr, flush=True)
     # stderr may be closed (Python sets it to None), its reader may be gone, or the disk may be full
@@ -46,7 +46,7 @@ class LogNotices(logging.Handler):
         self.shown: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a log record."""
+        """Print the message of a log record, unless it was printed before."""
         said = record.getMessage()
         text = f"{record.levelname.lower()}: {said}{self.hint if said.endswith('degrees meant?') else ''}"
         if record.name == "ik_toolkit.compile":
@@ -57,12 +57,12 @@ class LogNotices(logging.Handler):
 
 
 def partial(output: Path) -> Path:
-    """Return the name of an incomplete result, next to the file asked for."""
+    """Return the path FILE.partial for the incomplete result of a command that was to write FILE."""
     return output.with_name(output.name + PARTIAL)
 
 
 def keep_partial(result: Any, output: Path, what: str) -> None:
-    """Save the finished part of an interrupted command next to the file asked for, and say what is in it."""
+    """Save the finished part of an interrupted command as FILE.partial, and print a notice; what: its contents in words."""
     with uninterrupted():
         kept = partial(output)
         result.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
@@ -70,14 +70,14 @@ def keep_partial(result: Any, output: Path, what: str) -> None:
 
 
 def write_rows(file: Path | None, head: Iterable[str], rows: Iterable[Iterable[float | str]]) -> None:
-    """Write a table as CSV, if a file is given."""
+    """Write a header and rows to a CSV file, and print a notice; nothing happens if `file` is None."""
     if file is not None:
         write_table(file, [*head], rows)
         notice(f"wrote {file}")
 
 
 def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = None) -> None:
-    """Print the object on stdout when `as_json`, and write it to `output` when that is given."""
+    """Print an object as JSON on stdout if `as_json`, and write it to the file `output` unless that is None."""
     if output is not None:
         write_whole(output, json.dumps(plain(payload), indent=2, allow_nan=False) + "\n")
         notice(f"wrote {output}")
@@ -86,7 +86,7 @@ def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = Non
 
 
 def table(*columns: str, rows: Iterable[Iterable[Any]] = ()) -> "Table":
-    """Make a table of rows; columns whose names begin with '<' or '>' never wrap, those with '>' are right-aligned."""
+    """Make a rich table of columns and rows; a column named '<...' or '>...' never wraps, and one with '>' is right-aligned."""
     from rich import box
     from rich.table import Table
 
@@ -161,11 +161,20 @@ def _facts(rows: dict[str, Any]) -> "Table":
     return made
 
 
+def run_or_part(study: Callable[[], Any]) -> tuple[Any, bool]:
+    """Run a study; return its result, or that of its finished part if Ctrl-C stopped it, and whether it was stopped."""
+    try:
+        return study(), False
+    except Interrupted as stop:
+        return stop.result, True
+
+
 @contextmanager
 def progress(what: str, total: int | None, seconds: float | None = None) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on stderr if that is a terminal; yields a function of the number done (and text, total).
+    """Context manager: show a progress bar on stderr if that is a terminal.
 
-    seconds: time [s] after which the work stops at the latest, which is counted down in place of an estimate.
+    Yields a function to call with the number done, and optionally a new text and a new total. seconds: time [s] after which the
+    work ends at the latest; the bar counts it down instead of estimating it.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
@@ -189,7 +198,7 @@ def turns(kind: str) -> bool:
 
 
 def number(value: float, kind: str, deg: bool) -> str:
-    """Write a joint value [rad or m] as text, in degrees if it is an angle and `deg` is set."""
+    """Return a joint value [rad or m] as text, in degrees if it is an angle and `deg` is set; 'none' if it is infinite."""
     if not math.isfinite(value):
         return "none"
     degrees = deg and turns(kind)
@@ -197,10 +206,10 @@ def number(value: float, kind: str, deg: bool) -> str:
 
 
 def fixed(value: float, digits: int) -> str:
-    """Write a number with this many decimals, and zero without a sign."""
+    """Return a number as text with `digits` decimals; zero has no minus sign."""
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def unit(kind: str, deg: bool) -> str:
-    """Return the unit in which values of this kind of joint are shown."""
+    """Return the unit in which values of a kind of joint are shown: 'm', 'rad', or 'deg' if `deg` is set."""
     return "m" if not turns(kind) else "deg" if deg else "rad"

@@ -17,13 +17,13 @@ from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
 
-TURN = math.radians(1.0)  # [rad] default path tolerance of the orientation if that of the position is given
+TURN = math.radians(1.0)  # [rad] how far the orientation may leave the chords if --path-tolerance-mm is given
 LISTED = 5  # number of unreached poses listed on the terminal; the file lists all
 
 
 @options()
 class PathOptions:
-    """Options for the poses and for the path through them."""
+    """Options of `ik path` for the poses, the path through them and its times."""
 
     poses: Path = option(
         "FILE",
@@ -69,7 +69,7 @@ class PathOptions:
     plot: Path | None = option("FILE", "Draw the joints to a .png, .pdf or .svg file.", writes=PLOTS)
 
     def check(self) -> None:
-        """Raise InvalidOption for options that do not go together."""
+        """Raise InvalidOption for --retime without --acceleration or a fit file format, and for steps or tolerances not above 0."""
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None:
@@ -79,7 +79,7 @@ class PathOptions:
         above_zero(self.path_tolerance_mm or 1.0, "--path-tolerance-mm")
 
     def read(self, arm: Any, deg: bool) -> dict[str, Any]:
-        """Return the options given, by name, for a call of `solve_path`."""
+        """Return the arguments of `solve_path` that these options give; deg: whether --q0 and --q-end are in degrees."""
         words, off = self.reconfigurations, self.path_tolerance_mm
         return {
             "q0": joint_vector(arm, self.q0, "--q0", deg),
@@ -92,14 +92,14 @@ class PathOptions:
 
 @options()
 class PathCounts(CountOptions):
-    """Options for which components of the poses count."""
+    """Options for which components of the poses count, and which tips are relative to another."""
 
     relative: list[str] | None = same(TargetOptions, "relative")
 
 
 @options()
 class Seed:
-    """The option for the seed of random numbers."""
+    """The option --seed."""
 
     seed: int = same(SolverOptions, "seed")
 

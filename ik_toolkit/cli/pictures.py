@@ -11,9 +11,9 @@ from .streams import handling
 
 
 def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Draw the requested pictures of a result with history, or of several solutions: chart, page, scene in the browser.
+    """Draw a result with history (or a list of solutions, without `plot`) to the chart `plot`, the page `html` and the browser.
 
-    `around` is the option `avoid_collisions` of the solve.
+    target: as for `view`. around: the solve's avoid_collisions, whose obstacles are drawn. live: whether to open the browser.
     """
     if plot is not None and len(what.history["q"]) < 2:
         notice("no plot: the solve took no step")
@@ -27,7 +27,7 @@ def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html:
 
 
 def chart(file: Path | None, what: Any, arm: Any = None) -> None:
-    """Draw the chart of a result, if a file is given."""
+    """Draw the chart of a result to a file, and print a notice; nothing happens if `file` is None."""
     if file is not None:
         from ..show.plot import plot
 
@@ -36,7 +36,7 @@ def chart(file: Path | None, what: Any, arm: Any = None) -> None:
 
 
 def show_scene(arm: Any, what: Any, html: Path | None, live: bool = False, **more: Any) -> None:
-    """Show a result in 3-D, as a page if a file is given and in the browser if `live`; more: arguments of `view`."""
+    """Write a result in 3-D to the page `html`, unless that is None; if `live`, open the browser; more: arguments of `view`."""
     if html is not None or live:
         from ..show.scene import view
 
@@ -44,7 +44,7 @@ def show_scene(arm: Any, what: Any, html: Path | None, live: bool = False, **mor
 
 
 def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:
-    """Write the page if a file is given; if `live`, serve it until Ctrl-C or SIGTERM."""
+    """Write a Scene to the page `html`, unless that is None; if `live`, show it in the browser until Ctrl-C or SIGTERM."""
     incomplete(scene)
     if html is not None:
         written(scene.save(html))
@@ -71,7 +71,7 @@ def written(page: Path) -> None:
 
 
 def wait(announcement: str, url: str, browse: bool) -> None:
-    """Print the address of the page, open a browser if `browse`, and wait for Ctrl-C or SIGTERM."""
+    """Print an announcement of the page at `url`, open it in a browser if `browse`, and wait for Ctrl-C or SIGTERM."""
     done = threading.Event()
     try:
         with handling([signal.SIGTERM], lambda *_: done.set()):

@@ -10,13 +10,13 @@ from ..errors import InvalidOption
 from ..text import length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
-from .output import fixed, notice, progress, show, table, write_json, write_rows
+from .output import fixed, notice, progress, run_or_part, show, table, write_json, write_rows
 from .pictures import chart
 
 
 @options()
 class PlaceOptions:
-    """Options for the poses, the places allowed and what is written."""
+    """Options of `ik place`: the poses to reach, where the base may stand, and which files are written."""
 
     poses: list[str] = option(
         "[TIP:]FILE",
@@ -55,21 +55,19 @@ def place(
     if robot.base_xyz is not None or robot.base_rpy is not None:
         raise InvalidOption("ik place chooses where the robot stands; omit --base-xyz and --base-rpy")
     arm, poses = _read(asked.poses, robot, file)
-    from ..study.place import NUMBERS, PlaceInterrupted
+    from ..study.place import NUMBERS
     from ..study.place import place as search
 
     corners = None if asked.where is None else vector(asked.where, "--where", 4)
     where: Any = "floor" if corners is None else (corners[:2], corners[2:])
     turn = math.radians(1.0) if robot.deg else 1.0
     yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
-    height, stopped = _one_or_two(asked.height, "--height"), False
+    height = _one_or_two(asked.height, "--height")
     more: Any = given(tolerances) | around.read(arm)
     more |= {"seed": asked.seed, "ordered": asked.ordered, "count": asked.count}
     with progress("counting", None) as step:
-        try:
-            found = search(arm, poses, where, yaw=yaw, height=height, progress=step, **more)
-        except PlaceInterrupted as interrupt:
-            found, stopped = interrupt.result, True
+        more |= {"yaw": yaw, "height": height, "progress": step}
+        found, stopped = run_or_part(lambda: search(arm, poses, where, **more))
     write_rows(asked.output, NUMBERS, [[getattr(one, key) for key in NUMBERS] for one in found])
     chart(asked.plot, found)
     write_json(found.to_dict(), out.as_json)

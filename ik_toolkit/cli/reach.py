@@ -9,18 +9,22 @@ from ..errors import InvalidOption
 from ..text import decimal, figure, length
 from .command import PLOTS, command, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
-from .output import notice, partial, progress, show, write_json
+from .output import notice, partial, progress, run_or_part, show, write_json
 from .pictures import chart, show_scene
 
 
 @options()
 class ReachOptions:
-    """Options for the region, the orientations and what is written."""
+    """Options of `ik reach`: the region, the orientations asked for, and which files are written."""
 
     region: str | None = option("X Y Z X Y Z", "Lower and upper corner [m]; default: the box around the reach.")
     resolution: float | None = option("M", "Width of a cell [m]; default: a fortieth of the longest side.")
     orientations: str = option("any|N", "Any orientation, or N tool axes about which the tip may turn.", default="any")
-    poses: Path | None = option("FILE", "Loose poses instead of a region: CSV, NPZ or JSON, as for ik solve --targets.")
+    poses: Path | None = option(
+        "FILE",
+        "Loose poses instead of a region: CSV, NPZ or JSON, as for ik solve --targets.",
+        without=["--region", "--resolution", "--orientations"],
+    )
     audit: str = option("N|full", "Unproven noes that are tried again with 1,000 attempts.", default="2000")
     priority: str | None = option("position", "Position first: the orientation may be as near as it gets.")
     seed: int = option("N", "Seed of the search.", default=0)
@@ -48,7 +52,7 @@ def reach(
 ) -> None:
     """Map what the tip reaches inside the limits: a cell is reached (with a configuration), proven out of reach, or undecided.
 
-    A sample of the undecided is tried again, and the share that proved reachable is stated. Ctrl-C keeps what is
+    A sample of the undecided cells is tried again, and the share of them that can be reached is stated. Ctrl-C keeps what is
     finished in FILE.partial; the same command continues from there, also after the process was killed.
 
     Examples:
@@ -56,7 +60,7 @@ def reach(
     ik reach hydrolek_7w --region 0 -1 0 1 1 1 --orientations 6 -o axes.npz
     """
     arm = robot.load(robot.tip)
-    from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
+    from ..study.reachability import MapNotSaved, reachability
     from ..study.reachability_grid import grid_of
     from ..study.reachability_map import ANSWERS
     from .batch import cluster_of  # imported here, because that module loads the solvers
@@ -75,9 +79,8 @@ def reach(
     stopped, lost = False, None
     with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
         try:
-            found = reachability(arm, region, executor=executor, file=asked.output, progress=step, **more)
-        except ReachabilityInterrupted as interrupt:
-            found, stopped = interrupt.result, True
+            more |= {"executor": executor, "file": asked.output, "progress": step}
+            found, stopped = run_or_part(lambda: reachability(arm, region, **more))
         except MapNotSaved as failure:
             found, lost = failure.result, failure.args[0].partition(";")[0]
     counts = found.counts()
@@ -103,8 +106,6 @@ def reach(
 def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
     """Return the requested region, or single poses."""
     if asked.poses is not None:
-        if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
-            raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
         poses = file.poses(asked.poses, arm, deg)
         if poses.ndim != 3:
             raise InvalidOption(

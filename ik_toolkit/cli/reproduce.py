@@ -1,8 +1,8 @@
 """`ik reproduce`: reproduces the papers behind the toolkit, and compares published numbers with computed ones."""
 
-import importlib
 import importlib.util
 import os
+import pkgutil
 from pathlib import Path
 
 from ..errors import InvalidOption, near_match
@@ -26,8 +26,8 @@ class ReproduceOptions(JsonOutput):
 def reproduce(asked: ReproduceOptions) -> None:
     """Recompute a paper: a report with tables and pictures, with every published number next to ours.
 
-    Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
-    numbers; times are of this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
+    Writes report.md, report.json and the pictures (PNG, with matplotlib). Only the published numbers are typed in; all others are
+    computed in this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
 
     Examples:
     ik reproduce
@@ -43,11 +43,10 @@ def reproduce(asked: ReproduceOptions) -> None:
         return
     if paper not in PAPERS:
         raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
-    module, function = PAPERS[paper].target.split(":")
     folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
-    folder.mkdir(parents=True, exist_ok=True)  # an output that cannot be written is refused before the work starts
+    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is refused before the work starts
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
@@ -55,10 +54,10 @@ def reproduce(asked: ReproduceOptions) -> None:
 
     try:
         with progress("computing", None):  # None, because the progress of a report is unknown
-            report = getattr(importlib.import_module(module), function)()
+            report = pkgutil.resolve_name(PAPERS[paper].target)()
     except ReportInterrupted as stop:
         with uninterrupted():
-            files = stop.report.write_partial(folder)
+            files = stop.result.write_partial(folder)
             notice(f"partial: the report so far is in {' and '.join(map(str, files))}")
         raise
     files = report.write(folder)

@@ -8,14 +8,14 @@ from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
 from ..text import how_many, plain
-from .command import alone, command, flag, option, options
+from .command import command, flag, option, options
 from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
 from .output import fixed, heading, notice, number, show, table, turns, unit, write_json, write_rows
 
 
 @options()
 class ListOptions(TableOutput):
-    """Options for which robots are listed."""
+    """Options of `ik robots`: which robots are listed, and the files written."""
 
     everything: bool = flag(
         "--all", "Also list the legs, hands and humanoids of example-robot-data, whose tips are guessed."
@@ -24,14 +24,14 @@ class ListOptions(TableOutput):
 
 @options("Robot")
 class InfoOptions(OneTip):
-    """Options for the robot and the facts that are listed."""
+    """Options of `ik info`: the robot, and whether its possible tips are listed instead."""
 
-    list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.")
+    list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.", without=["--tip"])
 
 
 @options()
 class FkOptions(OneTip):
-    """Options for the robot and its joint values."""
+    """Options of `ik fk`: the robot and its joint values."""
 
     q: str | None = option("Q1 Q2 ...", "Joint values, one per joint; default: home.")
 
@@ -93,7 +93,6 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
 
     entry, deg = find(robot.robot), robot.deg
     if robot.list_tips:
-        alone("--list-tips", {"--tip": robot.tip})
         read_args = assignments(robot.xacro_arg, "--xacro-arg", ":=")
         ends = tip_candidates(read_source(robot.robot, robot.package_dir or (), read_args)[1]["model"])
         _show_tips(entry, [robot.load(name) for name in dict.fromkeys((*entry.tips, *ends))], out)
@@ -179,7 +178,7 @@ def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
 
 
 def describe(robot: Any) -> dict[str, Any]:
-    """Return the robot as plain data for JSON, in metres and radians."""
+    """Return a robot's frames, reach, joints with limits, and configurations as a dict for JSON, in metres and radians."""
     from ..robot.configuration import follower_limits
     from ..solvers.closed_form import describe_fit as closed_form
 

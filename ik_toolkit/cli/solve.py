@@ -11,6 +11,7 @@ from ..files import as_output
 from ..text import angle, duration, length, vector
 from . import first_use
 from .command import PLOTS, command, flag, option, options, same
+from .completion import solvers_like
 from .options import (
     CollisionOptions,
     FileOptions,
@@ -24,11 +25,10 @@ from .options import (
     kind_of,
     parameters,
     solver_named,
-    solvers_like,
 )
 from .output import fixed, notice, number, show, table, unit, write_json, write_rows
 from .pictures import draw
-from .target import CountOptions, TargetOptions, at_home, in_base, relations, request
+from .target import POSED, CountOptions, TargetOptions, at_home, in_base, relations, request
 
 ABREAST = 4  # number of solutions for several tips that fit side by side into 80 columns
 ACROSS = 6  # number of joints whose values fit side by side into 80 columns
@@ -36,7 +36,7 @@ ACROSS = 6  # number of joints whose values fit side by side into 80 columns
 
 @options("Solver")
 class SolverOptions:
-    """Options for the solver and how long it may take."""
+    """Options for the solver: its parameters, attempts, iterations and time."""
 
     solver: str = option(
         "NAME",
@@ -76,11 +76,11 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Return the given options by name, as keyword arguments of the library's functions."""
+        """Return the options that are given as keyword arguments of `ik.solve`, without solver, parameters and preset."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
     def tuned(self, rule: Any) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset of a rule, if there is one."""
+        """Return the tolerance and iteration limit of the preset as keyword arguments of `ik.solve`; {} without --preset."""
         from ..solvers.presets import load_preset
         from ..solvers.registry import find_row
 
@@ -106,7 +106,11 @@ class WishOptions:
     objective: str | None = option(
         "NAME", "Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability."
     )
-    every: bool = flag("--all", "List every distinct solution within limits, nearest to q0 (or home) first.")
+    every: bool = flag(
+        "--all",
+        "List every distinct solution within limits, nearest to q0 (or home) first.",
+        without=["--plot", "--explain"],
+    )
     explain: bool = flag(
         "--explain",
         "Show how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.",
@@ -135,6 +139,7 @@ class ManyOptions:
         "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
         "--targets",
+        without=[*POSED, "--matrix", "--target", "--all", "--explain", "--plot", "--html", "--view"],
     )
     threads: int | None = option("N", "With --targets: threads; default: all cores.", needs=["--targets"])
     cluster: str | None = option(
@@ -144,7 +149,7 @@ class ManyOptions:
 
 @options("Output")
 class SolveOutput(ObjectOutput):
-    """Options for what is printed, written and drawn."""
+    """Options of `ik solve` for what is printed, written to files and drawn."""
 
     csv_file: Path | None = same(TableOutput, "csv_file")
     plot: Path | None = option(
@@ -158,7 +163,7 @@ class SolveOutput(ObjectOutput):
 
     @property
     def drawn(self) -> bool:
-        """Return whether a picture is asked for."""
+        """Whether --plot, --html or --view is given."""
         return self.plot is not None or self.html is not None or self.live
 
 
@@ -221,37 +226,20 @@ def solve(
 
 def _refuse_contradictions(target: TargetOptions, wish: WishOptions, many: ManyOptions, out: SolveOutput) -> None:
     """Raise InvalidOption for options that do not go together, or a target that is missing."""
-    posed = target.posed or target.direction is not None or target.tip_axis is not None
-    if target.from_q is not None and (target.targets or many.file is not None or posed):
-        raise InvalidOption("--from-q gives the whole target; omit --xyz, --target and the other pose options")
     if many.file is not None:
-        if target.targets or wish.every or posed:
-            raise InvalidOption(
-                "--targets FILE replaces --xyz and the other pose options, --target and --all; omit them"
-            )
-        if out.drawn:
-            raise InvalidOption(
-                "--plot, --html and --view show a single solve and cannot be combined with --targets FILE"
-            )
         if wish.closest is not None and wish.q0 is not None:
             raise InvalidOption("give --closest or --q0, not both: the search starts there")
     else:
         if out.output is not None:
             as_output(out.output, "a solve without --targets", ".json")
-        target.check()
         if not target.targets and target.xyz is None and target.matrix is None and target.from_q is None:
             raise InvalidOption(
                 "Missing option '--xyz' (or '--matrix', '--from-q', '--targets FILE' for many, '--target' for several tips)"
             )
     if out.csv_file is not None and not wish.every:
         raise InvalidOption("--csv writes the solutions of --all; -o writes a single one, and those of --targets")
-    if wish.explain and (wish.every or many.file is not None):
-        raise InvalidOption("--explain explains a single solve and cannot be combined with --all or --targets FILE")
-    if wish.every:
-        if out.plot is not None:
-            raise InvalidOption("--plot draws a single solve and cannot be combined with --all")
-        if wish.closest is not None:
-            raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
+    if wish.every and wish.closest is not None:
+        raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
 
 
 def _solve_one(
@@ -262,7 +250,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # A solve that starts at its solution compiles or loads the code, so that the displayed time does not include this.
+        # A first solve that starts at its solution compiles or loads the code, so that the time displayed is that of solving.
         solve_one(arm, at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -343,7 +331,7 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..solvers.message import unweighted
 
     robot = result.robot
-    # the errors are shown without weights, as in the message
+    # errors are shown in m and rad, without the weights of --mask, as in the message
     left = dict(zip(robot.tips, unweighted(result)[0], strict=True))
     where = dict.fromkeys(result.limited_joints, "at limit") | dict.fromkeys(robot.outside(result.q), "outside")
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")

@@ -6,7 +6,8 @@ from typing import Any
 
 from ..errors import InvalidOption
 from .command import argument, command, options
-from .options import TableOutput, solver_named, solvers_like
+from .completion import solvers_like
+from .options import TableOutput, solver_named
 from .output import heading, show, table, write_json, write_rows
 
 TOLD = ("name", "summary", "handles", "citation")
@@ -14,7 +15,7 @@ TOLD = ("name", "summary", "handles", "citation")
 
 @options()
 class SolversOptions(TableOutput):
-    """Options for which solvers are listed."""
+    """Options of `ik solvers`: one solver to describe, or none to list all."""
 
     name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None, complete=solvers_like)
 

@@ -71,7 +71,7 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
 
 @contextmanager
 def handling(numbers: Iterable[int], handler: Callable[..., Any]) -> Iterator[dict[int, Any]]:
-    """Context manager: handle signals in the block; yields the handlers before, by number, which are set again after it."""
+    """Context manager: `handler` handles these signals in the block; yields the earlier handlers by number, and restores them."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield before
@@ -167,14 +167,14 @@ class Output:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, unless the reader has closed the pipe."""
+        """Write text, unless the reader has closed the pipe; return its length."""
         try:
             return self._stream.write(text)
         except BrokenPipeError:
             return self._drop(len(text))
 
     def flush(self) -> None:
-        """Flush, unless the reader has closed the pipe."""
+        """Write out what is buffered, unless the reader has closed the pipe."""
         try:
             self._stream.flush()
         except BrokenPipeError:

@@ -12,6 +12,8 @@ from .options import joint_vector
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
+# options that describe a single target; the last two may also turn those of --target
+POSED = ("--xyz", "--rpy", "--quat-xyzw", "--quat-wxyz", "--direction", "--tip-axis")
 MATRIX = (12, 16)  # how many numbers a pose's matrix has: (3, 4) or (4, 4)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -25,16 +27,19 @@ class TargetOptions:
     quat_xyzw: str | None = option("X Y Z W", "Target orientation as a quaternion, real part last.")
     quat_wxyz: str | None = option("W X Y Z", "Target orientation as a quaternion, real part first.")
     matrix: str | None = option(
-        "M11 M12 ...", "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz."
+        "M11 M12 ...", "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.", without=POSED
     )
     from_q: str | None = option(
-        "Q1 Q2 ...", "Target where the tip, or every tip, stands at these joint values; replaces --xyz."
+        "Q1 Q2 ...",
+        "Target where the tip, or every tip, stands at these joint values; replaces --xyz.",
+        without=[*POSED, "--matrix", "--target", "--targets"],
     )
     targets: list[str] | None = option(
         "TIP:X,Y,Z[,...]",
         "Target of one of several tips solved together; repeat for each; replaces --xyz. A position, or a pose when "
         "roll, pitch, yaw or a quaternion x y z w follow, or 12 or 16 numbers of a matrix. A tip without a target is free.",
         "--target",
+        without=[*POSED[:4], "--matrix"],
     )
     relative: list[str] | None = option(
         "TIP:OTHER",
@@ -49,22 +54,13 @@ class TargetOptions:
     )
 
     @property
-    def oriented(self) -> bool:
-        """Return whether an option is given that adds an orientation to --xyz."""
-        return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
-
-    @property
     def posed(self) -> bool:
-        """Return whether an option is given that describes a single target."""
-        return self.xyz is not None or self.matrix is not None or self.oriented
-
-    def check(self) -> None:
-        """Raise InvalidOption for options that do not go together."""
-        if self.targets and self.posed:
-            raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
+        """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
+        given = (self.xyz, self.matrix, self.rpy, self.quat_xyzw, self.quat_wxyz)
+        return any(one is not None for one in given)
 
     def read(self, deg: bool) -> Any:
-        """Return targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
+        """Return one target, or with --target a dict by tip; deg: if angles are degrees. Raises InvalidOption, InvalidTarget."""
         return self._several(self.targets, deg) if self.targets else self._single(deg)
 
     def _directions(self) -> tuple[Any, Any]:
@@ -76,8 +72,6 @@ class TargetOptions:
         from ..robot.pose import pose
 
         if self.matrix is not None:
-            if self.xyz is not None or self.oriented or self.direction is not None or self.tip_axis is not None:
-                raise InvalidOption("--matrix gives the whole pose; omit --xyz, the rotation options and --direction")
             x = vector(self.matrix, "--matrix")
             if len(x) not in MATRIX:
                 raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")
@@ -127,7 +121,7 @@ class TargetOptions:
         return made
 
     def reached(self, arm: Any, deg: bool) -> Any:
-        """Return the target of --from-q: the pose (4, 4) of the tip at these joint values; for several tips a dict."""
+        """Return the pose (4, 4) [m] of the tip at the joint values of --from-q (degrees if `deg`), for several tips a dict."""
         at = arm.fk(joint_vector(arm, self.from_q, "--from-q", deg))
         return {tip: T.homogeneous for tip, T in at.items()} if isinstance(at, dict) else at.homogeneous
 
@@ -156,7 +150,7 @@ class CountOptions:
     )
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
-        """Return the given options by name, as keyword arguments of a solver; relative: --relative. Raises InvalidOption."""
+        """Return the given options as keyword arguments of a solver; relative: texts of --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
@@ -167,7 +161,7 @@ class CountOptions:
 
 
 def priorities(text: str | None) -> list[Any] | None:
-    """Return the levels of --priority as the option `priority` takes them."""
+    """Return the text of --priority as a solver's argument `priority`: levels, each a list of GROUP or (TIP, GROUP)."""
 
     def one(word: str) -> Any:
         tip, _, group = word.strip().rpartition(":")
@@ -206,7 +200,7 @@ def _axis(text: str) -> tuple[float, ...]:
 
 
 def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
-    """Return {TIP: OTHER} from TIP:OTHER: the target of TIP is given relative to OTHER. Raises InvalidOption."""
+    """Return texts TIP:OTHER of --relative as {TIP: OTHER}: the target of TIP is in the frame of OTHER. Raises InvalidOption."""
     found: dict[str, str] = {}
     for text in texts or ():
         tip, _, other = text.rpartition(":")
@@ -228,7 +222,10 @@ def _pose_of(x: Sequence[float]) -> Any:
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
-    """Return targets as poses or positions in the base frame; poses: those of the tips (dict of pin.SE3)."""
+    """Return a target, or a dict by tip, as pose or position in the base frame.
+
+    poses: where the tips are (pin.SE3 by tip), for targets relative to another tip; relative: {TIP: OTHER} of these.
+    """
     import numpy as np
 
     plain = getattr(target, "T_base_tip", target)
@@ -243,7 +240,7 @@ def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
 
 
 def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
-    """Return a target of the same form as the given one that the robot reaches at home."""
+    """Return the target that the robot reaches at home, as a position or pose like the given target."""
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
@@ -252,7 +249,7 @@ def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 
 def request(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return base, tip and target of a request for the JSON output; for several tips base, targets, and `relative_to` if given."""
+    """Return what was asked for the JSON output: base, tip and target; for several tips base, targets and `relative_to`."""
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}

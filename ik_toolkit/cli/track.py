@@ -95,7 +95,7 @@ def track(
         if result.reach is not None:
             with progress("trying changes", None):
                 tried = advice(arm, asked, path, q, result.reach, run, robot.deg, limits=asked.limits, **what)
-    except KeyboardInterrupt as stop:  # the run had finished, and only its output was interrupted
+    except KeyboardInterrupt as stop:  # Ctrl-C came after the run, whose results are still printed
         stopped = stop
     more = {"path_chosen": path.words} if path.words else {"works": tried} if result.reach is not None else {}
     tips = {"tips": [*arm.tips]} if arm.named_tips else {"tip": arm.tip}

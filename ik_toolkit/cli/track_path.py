@@ -11,8 +11,8 @@ from .command import PLOTS, flag, option, options
 from .output import number
 
 SHAPES = ("circle", "line", "eight")
-RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, m, s] defaults of options that are left out
-PLACE = {  # options for place and size of each kind of path; a path from a file has none
+RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, m, s] of a path whose options are left out
+PLACE = {  # by kind of path, the options for its place and size; a path from a file has none
     "circle": ("radius", "axis", "start"),
     "eight": ("radius", "axis", "start"),
     "line": ("length", "axis", "start", "end"),
@@ -20,13 +20,13 @@ PLACE = {  # options for place and size of each kind of path; a path from a file
 }
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
-PLACED = (*DRAWN[:5], "law", "turns")  # options that select a drawn path; the duration alone does not
+PLACED = (*DRAWN[:5], "law", "turns")  # any of these options asks for a path to be drawn; the duration alone does not
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
 @options()
 class PathOptions:
-    """Options for the path and the tracking method with its gains."""
+    """Options for a path to follow, and the tracking method with its gains."""
 
     path: str | None = option(
         "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
@@ -50,11 +50,7 @@ class PathOptions:
     kp: float | None = option("K", "Gain of ca on the error [1/s^2]; default: best for the rate.")
     kd: float | None = option("K", "Gain of ca on the error rate [1/s]; default: best for the rate.")
     param: list[str] | None = option(
-        "NAME=VALUE",
-        "Other options: gamma, share, reading, null_damping, damping.",
-        "-p",
-        "--param",
-        panel="Solver",
+        "NAME=VALUE", "Other options: gamma, share, reading, null_damping, damping.", "-p", "--param", panel="Solver"
     )
     q0: str | None = option(
         "Q1 Q2 ...", "Start configuration; default: home, or solved for.", panel="Start and preferences"
@@ -62,22 +58,22 @@ class PathOptions:
 
     @property
     def shape(self) -> str | None:
-        """Return the kind of path asked for; a circle if only options of a shape are given; None without any."""
+        """The kind of path, or file, asked for; 'circle' if only its place or size is given; None without any of these options."""
         return self.path or ("circle" if any(getattr(self, name) is not None for name in PLACED) else None)
 
     @property
     def size(self) -> float:
-        """Return the length of the line, or the radius, as given or by default [m]."""
+        """Length of the line, or radius of the circle or eight [m], as given or by default."""
         given, usual = (self.length, LENGTH) if self.shape == "line" else (self.radius, RADIUS)
         return usual if given is None else given
 
     @property
     def gains(self) -> dict[str, float]:
-        """Return the gains that are given, by name."""
+        """The gains kappa, kp and kd that are given, by name."""
         return {name: gain for name, gain in vars(self).items() if name in ("kappa", "kp", "kd") and gain is not None}
 
     def rest(self) -> dict[str, Any]:
-        """Return duration [s], speed law and number of turns."""
+        """Return duration [s], speed law and number of turns as keyword arguments for a drawn path."""
         duration = DURATION if self.duration is None else self.duration
         return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
 
@@ -89,7 +85,7 @@ class PathOptions:
         return axis
 
     def check(self) -> None:
-        """Raise InvalidOption for options that this kind of path does not have."""
+        """Raise InvalidOption for options that the kind of path does not have, such as --radius for a line."""
         if self.shape is None:
             return
         kind = self.shape if self.shape in SHAPES else "file"
@@ -107,7 +103,7 @@ class PathOptions:
 
 @options()
 class TrackOptions(PathOptions):
-    """Options for the path and how it is followed."""
+    """Options of `ik track`: the path, how it is followed, and which files are written."""
 
     limits: bool = flag(
         "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
@@ -145,7 +141,7 @@ class Asked(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """Return a line of text that describes the reference, for several tips a line each."""
+        """Text that describes the reference; with several tips one after another."""
         if isinstance(self.reference, Mapping):
             return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
         return _line(self.reference)
@@ -157,7 +153,7 @@ def _line(reference: Any) -> str:
 
 
 def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
-    """Return the path asked for. Raises InvalidOption.
+    """Return the path that the options ask for, or one that every robot can follow if they ask for none. Raises InvalidOption.
 
     q: joint values (n,) of --q0, or None. counts: options by name that say which part of a target's error counts, and which targets
     are relative to another tip (relative_to). tolerance [m]: position tolerance of the run.
@@ -234,7 +230,7 @@ def advice(
         slower = float(f"{1.1 * share * seconds:.2g}")
         fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
-    one: dict[str, str] = {}  # the advice for each option, which is the largest size or the first axis that works
+    one: dict[str, str] = {}  # by option, the first change that works: the largest size, or an axis
     for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:

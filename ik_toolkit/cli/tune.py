@@ -8,7 +8,8 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import require_place
 from .command import PLOTS, argument, command, flag, option, options, same
-from .options import TableOutput, WholeRobot, solvers_like
+from .completion import solvers_like
+from .options import TableOutput, WholeRobot
 from .output import notice, partial, progress, show, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted
@@ -17,7 +18,7 @@ from .workspace import WorkspaceOptions
 
 @options()
 class TunedRobot(WholeRobot):
-    """Options for the robot for which a solver is tuned."""
+    """Options for the robot for which a solver is tuned, without SRDF."""
 
     srdf: None = None
     group: None = None
@@ -25,7 +26,7 @@ class TunedRobot(WholeRobot):
 
 @options()
 class TuneOptions:
-    """Options for what is tuned, how, and what is written."""
+    """Options of `ik tune`: solver, search, targets, and which files are written."""
 
     solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.", complete=solvers_like)
     method: str = option("cma|pso", "CMA-ES or a particle swarm.", "-m", "--method", default="cma")

@@ -22,7 +22,7 @@ SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| \(| must | is | has | of '|
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)']|$)")
 WIDEST = 100  # [columns] longer lines are hard to read
 COLUMN = 30  # column at which the explanations begin
-LAST = ("Robot", "Output", "Other")  # groups of options that come last in the help, after the others as declared
+LAST = ("Robot", "Output", "Other")  # these groups of options come last in the help
 
 
 def help_text(command: Any, ctx: Any) -> str:
@@ -54,7 +54,7 @@ def help_text(command: Any, ctx: Any) -> str:
 
 
 def placeholder(argument: Any) -> str:
-    """Return an argument as the help shows it: ROBOT, [ROBOT] if it is optional, [ROBOT ...] if there may be more."""
+    """Return a click argument as the help shows it: ROBOT, [ROBOT] if it is optional, [ROBOT ...] if there may be several."""
     name = (argument.metavar or argument.name).strip("[].").upper()
     several = name + (" ..." if argument.nargs == -1 else "")
     return several if argument.required else f"[{several}]"
@@ -95,7 +95,7 @@ def in_flags(text: str, command: Any) -> str:
     options = {one.name.rstrip("_"): one for one in command.params if one.param_type_name == "option"}
     options = {
         name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts
-    }  # `targets` is left out, because it must not become --target
+    }  # this leaves out `targets`, whose option is called --target
     options |= {name: options[own] for name, own in PYTHON_NAMES.items() if own in options}
 
     def flag(found: re.Match[str]) -> str:
@@ -114,5 +114,5 @@ class Group(typer.core.TyperGroup):
     """The click group of the program `ik`, which formats its help like that of the commands."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
+        """Write the help text of the program."""
         formatter.write(help_text(self, ctx))

@@ -6,37 +6,42 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from .command import alone, command, flag, option, options, same
-from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector, solvers_like
+from .command import command, flag, option, options, same
+from .completion import solvers_like
+from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector
 from .output import notice
 from .pictures import incomplete, present, wait, written
 from .target import TargetOptions, in_base, relations
 
+SOLVED = ("--xyz", "--matrix", "--target")  # options for a target to solve for
+
 
 @options()
 class ViewOptions:
-    """Options for what is shown."""
+    """Options of `ik view`: what is shown, and where."""
 
-    q: str | None = option("Q1 Q2 ...", "Joint values to show; default: home.")
+    q: str | None = option("Q1 Q2 ...", "Joint values to show; default: home.", without=SOLVED)
     motion: Path | None = option(
         "FILE",
         "Show a motion from a file: of ik path a path (.csv, .npz, .json) or a trajectory (.csv, .json), "
         "of ik track a run (.csv, .npz, .json).",
+        without=["--q", *SOLVED],
     )
     page: Path | None = option(
         "FILE",
         "Write a live page: the robot with its solvers and a target to drag in one .html file, which needs neither "
         "Python nor a network.",
         writes=[".html", ".htm"],
+        without=["--html", "--q", "--motion", *SOLVED, "--port"],
     )
     port: int = option("N", "Port on 127.0.0.1; default: a free one.", default=0)
     browse: bool = flag("--open/--no-open", "Open the address in a browser.", default=True)
-    html: Path | None = same(SceneOutput, "html")
+    html: Path | None = same(SceneOutput, "html", without=["--port"])
 
 
 @options("Target")
 class ViewTarget(TargetOptions):
-    """Options for the target to solve for."""
+    """Options of `ik view` for the target that is solved for and shown."""
 
     xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
     rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].", needs=["--xyz"])
@@ -48,13 +53,13 @@ class ViewTarget(TargetOptions):
 
     @property
     def given(self) -> bool:
-        """Return whether a target is given."""
+        """Whether --xyz, --matrix or --target is given."""
         return self.xyz is not None or self.matrix is not None or bool(self.targets)
 
 
 @options("Start and preferences")
 class ViewSolve:
-    """Options for how the target is solved."""
+    """Options of `ik view` for the solver and its start."""
 
     solver: str = option(
         "NAME",
@@ -64,13 +69,18 @@ class ViewSolve:
         default="auto",
         panel="Solver",
         complete=solvers_like,
-        needs=["--xyz", "--matrix", "--target"],
+        needs=SOLVED,
     )
-    every: bool = flag("--all", "Show every solution found as a ghost.", needs=["--xyz", "--matrix", "--target"])
-    q0: str | None = option(
-        "Q1 Q2 ...", "Where the solve starts; default: home.", needs=["--xyz", "--matrix", "--target"]
+    every: bool = flag("--all", "Show every solution found as a ghost.", needs=SOLVED)
+    q0: str | None = option("Q1 Q2 ...", "Where the solve starts; default: home.", needs=SOLVED)
+    follow: bool = flag(
+        "--follow",
+        "Show a target to drag, which the robot follows (extra 'panel').",
+        without=(
+            "--page --base --base-xyz --base-rpy --rail --lock --package-dir --xacro-arg --srdf --group --html --q --motion "
+            "--xyz --matrix --target"
+        ).split(),
     )
-    follow: bool = flag("--follow", "Show a target to drag, which the robot follows (extra 'panel').")
 
 
 @command
@@ -88,23 +98,14 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
     ik view hydrolek_7w --follow
     ik view hydrolek_7w --page hydrolek.html
     """
-    _refuse_contradictions(shown, target, how)
-    others = {"--html": shown.html, "--q": shown.q, "--motion": shown.motion, "--xyz and --target": target.given}
+    _check_port(shown.port)
     if how.follow:
-        names = ("base", "base_xyz", "base_rpy", "rail", "lock", "package_dir", "xacro_arg", "srdf", "group")
-        read = {f"--{name.replace('_', '-')}": getattr(robot, name) for name in names}
-        alone("--follow", {"--page": shown.page} | read | others)
         from ..show.panel.panel import Follower, Panel
 
         served = Panel(robot.robot, robot.tip, port=shown.port, desk=Follower)
         wait(f"the robot is at {served.url}", served.url, shown.browse)
         served.close()
         return
-    if shown.page is not None:
-        alone("--page", others | {"--port": shown.port})
-    if shown.html is not None:
-        alone("--html", {"--port": shown.port})
-
     from ..show.scene import view as make
 
     aim: Any = target.read(robot.deg) if target.given else None
@@ -132,16 +133,6 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
         raise typer.Exit(1)
 
 
-def _refuse_contradictions(shown: ViewOptions, target: ViewTarget, how: ViewSolve) -> None:
-    """Raise InvalidOption for options that do not go together."""
-    if shown.q is not None and (target.given or how.every):
-        raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
-    if shown.motion is not None and (target.given or how.every or shown.q is not None):
-        raise InvalidOption("--motion shows the motion of a file; omit --q, --xyz and --target")
-    target.check()
-    _check_port(shown.port)
-
-
 def _check_port(port: int) -> None:
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port must be between 0 and 65535, not {port}")
@@ -162,7 +153,7 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options:
 
 @options()
 class PanelOptions:
-    """Options for the robot and where the panel is served."""
+    """Options of `ik panel`: the robot, and the address at which the panel is served."""
 
     robot: str = same(RobotOptions, "robot", default="hydrolek_7w")
     tip: list[str] | None = same(RobotOptions, "tip")

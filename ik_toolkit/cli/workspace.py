@@ -8,8 +8,9 @@ from typing import Any
 from ..errors import InvalidOption
 from ..text import length
 from .command import PLOTS, command, flag, option, options
-from .options import ObjectOutput, WholeRobot, given, joint_vector, solvers_like
-from .output import heading, notice, partial, progress, show, table, write_json
+from .completion import solvers_like
+from .options import ObjectOutput, WholeRobot, given, joint_vector
+from .output import heading, notice, partial, progress, run_or_part, show, table, write_json
 from .pictures import chart, show_scene
 
 LISTED = 10
@@ -17,7 +18,7 @@ LISTED = 10
 
 @options()
 class WorkspaceOptions:
-    """Options for solvers, targets and what is written."""
+    """Options of `ik workspace`: solvers, targets, and which files are written."""
 
     solver: list[str] | None = option(
         "NAME", "May be repeated; default: the search of auto.", "-s", "--solver", panel="Solver", complete=solvers_like
@@ -57,22 +58,17 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
         raise InvalidOption(f"--workers must be at least 1, not {asked.workers}")
     arm = robot.load(robot.tips)
 
-    from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study
 
     chosen = _chosen(asked.solver, asked.preset)
     unchanged = ("targets", "how", "seed", "tolerance", "max_iterations", "restarts")
     options = {name: value for name, value in given(asked).items() if name in unchanged}
-    stopped = False
     start = joint_vector(arm, asked.q0, "--q0", robot.deg)
     with _workers(asked.workers) as executor, progress("solving", asked.targets) as step:
-        try:
-            found = study(
-                arm, chosen, tip=arm.tips[0], position_only=not asked.pose, q0=start, file=asked.csv,
-                executor=executor, progress=step, **options,
-            )  # fmt: skip
-        except WorkspaceInterrupted as interrupt:
-            found, stopped = interrupt.result, True
+        options |= {"q0": start, "file": asked.csv, "executor": executor, "progress": step}
+        found, stopped = run_or_part(
+            lambda: study(arm, chosen, tip=arm.tips[0], position_only=not asked.pose, **options)
+        )
     if not stopped:
         first = next(iter(found.solved))
         title = f"{arm.name}: targets of {found.tip}, {first}"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Paper(NamedTuple):
-    """A paper that `ik reproduce` can reproduce."""
+    """A paper whose numbers `ik reproduce` computes again."""
 
     target: str  # "module:function" that returns a `report.Report`
     summary: str  # one line on the paper, for the list of papers

@@ -11,23 +11,18 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, Portable
+from ..errors import Interrupted, InvalidOption, MissingExtra
 from ..files import PARTIAL, write_whole
 from ..robot.formats.dh import DHTable, read_dh_table
 from ..robot.library import shipped_robots
 from ..style import PRINTED
 from ..text import plain
 
-Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves that one call makes
+Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves in one call
 
 
-class ReportInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C while a report is made; `report` is its finished part."""
-
-    def __init__(self, report: "Report") -> None:
-        """Keep the finished part of a report."""
-        super().__init__(f"interrupted in the report '{report.title}'")
-        self.report = report
+class ReportInterrupted(Interrupted):
+    """Ctrl-C while a report is made; `result` is the Report with the parts that were finished before it."""
 
 
 class Report:
@@ -54,14 +49,14 @@ class Report:
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
         """Raise ReportInterrupted with the finished part if Ctrl-C ended the block."""
         if kind is not None and issubclass(kind, KeyboardInterrupt):
-            raise ReportInterrupted(self) from None
+            raise ReportInterrupted(self, f"in the report '{self.title}'") from None
 
     def heading(self, text: str) -> None:
-        """Start a section."""
+        """Begin a section of the report with a heading."""
         self._parts.append(f"## {text}")
 
     def text(self, text: str) -> None:
-        """Add a paragraph of Markdown."""
+        """Add a paragraph of Markdown to the report; its line breaks are removed."""
         self._parts.append(" ".join(text.split()))
 
     def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]] | str, least: float = 0.0) -> None:
@@ -78,7 +73,7 @@ class Report:
         self._parts.append("\n".join(lines))
 
     def records(self, key: str, rows: Sequence[dict[str, Any]], least: float = 0.0) -> None:
-        """Add a table whose rows are given as values by column."""
+        """Add a table (see `table`) from rows that are dicts of values by column name."""
         self.table(key, [*rows[0]], [[*row.values()] for row in rows], least)
 
     def number(self, key: str, value: Any) -> Any:
@@ -143,7 +138,7 @@ class Report:
         return files
 
 
-ROUNDING = 1e-11  # Errors below this (in m, mm, rad or deg) are rounding.
+ROUNDING = 1e-11  # A computed error below this, whatever its unit (m, mm, rad or deg), is rounding.
 WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 pixels high on a page 740 pixels wide
 
 
@@ -162,7 +157,7 @@ def shipped_table(name: str) -> DHTable:
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Time several functions in turn, for a number of rounds.
+    """Time several functions, each once a round, so that changes in the machine's speed affect all alike.
 
     Processor time is measured, because other processes on the same core should not count.
 

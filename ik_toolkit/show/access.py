@@ -32,7 +32,7 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Return a token of 128 random bits for a page's address, without which nothing is served."""
+    """Return a random token (128 bits) for a page's address; without it in the address nothing is served."""
     return secrets.token_urlsafe(16)
 
 
@@ -47,7 +47,7 @@ def below(path: str, token: str) -> str | None:
 
 
 def refused_request(headers: Any, host: str) -> str:
-    """Return why a request is refused, or ''.
+    """Return why a request to the server is refused, '' if it is accepted.
 
     A browser sends the requesting page (Origin) and the host name it used (Host).
     """

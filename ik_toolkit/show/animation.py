@@ -129,7 +129,7 @@ def _much(value: float, unit: str) -> str:
 
 # ------------------------------------------------------------------------------------------------------------- the scene
 def numbered(word: str, k: int) -> str:
-    """Return the scene path for tip k, which is the bare word for the first tip."""
+    """Return the scene path of an object of tip k (from 0): the word alone for the first tip, with k + 1 for any other."""
     return f"{word}{k + 1 if k else ''}"
 
 
@@ -163,7 +163,7 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
     rows = rows if many or np.ndim(rows) == 2 else [rows]
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
-    if rows is not what and len(rows) > 1:  # The rows of a result may be many, so only the first is checked.
+    if rows is not what and len(rows) > 1:  # A result may have many rows, so only the first is checked.
         robot.check_q(rows[0])
         return np.array(rows, dtype=float), motion
     return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
@@ -250,7 +250,7 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
+        last = stop if stop - 1 in breaks else stop + 1  # each piece ends where the next one starts
         P = scene._world(points[start:last])
         scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]] if known.any() else ORANGE), P)
 
@@ -284,7 +284,7 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
     lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
-    lasts[-1] = 1500.0  # [ms] the end is shown for longer
+    lasts[-1] = 1500.0  # [ms] the last frame is shown for longer
     if coder:
         write_whole(file, film(coder, frames, lasts))
         return file

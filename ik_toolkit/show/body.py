@@ -31,7 +31,7 @@ MAX_SHAPES = 2_000  # largest number of drawn shapes of a robot; robots have up 
 COLORED = (".dae", ".obj", ".glb", ".gltf")  # mesh formats that can contain colours
 GREY = (0.70, 0.72, 0.75)
 STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
-SEEN = 1e-4  # [robot sizes, rad] copies of a part at smaller distances and angles look like one
+SEEN = 1e-4  # [robot sizes, rad] parts at smaller distances and angles look as if they were in one place
 SMOOTH = np.radians(35.0)  # [rad] edges with a larger angle stay visible
 
 
@@ -103,7 +103,7 @@ class BodyPart:
 
 
 class Body:
-    """The drawn parts of a robot and their placements.
+    """The drawn parts of a robot, and where they are at given joint values.
 
     parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world, with a scale for bars; notice ('' or
     what is not drawn, and why); T_world_base (4, 4) at rest; `floor`, the height [m] of the floor, under the robot's lowest part
@@ -154,7 +154,7 @@ class Body:
         return np.array([self.T_world_base @ T.homogeneous for T in self.robot.tip_poses(np.asarray(q))])
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
+        """Return whether each part (P,) is visibly elsewhere at poses A than at B: (P, 4, 4), or any of (F, P, 4, 4)."""
         gap = np.abs(A - B).reshape(-1, len(self.parts), 4, 4)
         gap[:, :, :3, 3] /= self.robot.reach
         gap[:, self.bars, :3, :3] /= self.robot.reach
@@ -301,7 +301,9 @@ def revolved(profile: Any, sections: int) -> Triangles:
     r, z = np.repeat(line[:, :, None], sections, axis=2).transpose(1, 0, 2)
     vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
     number = np.arange(len(vertices)).reshape(len(line), sections)
-    number[line[:, 0] == 0.0] = number[line[:, 0] == 0.0, :1]  # on the axis a ring is one vertex
+    number[line[:, 0] == 0.0] = number[
+        line[:, 0] == 0.0, :1
+    ]  # a point on the axis makes one vertex, any other a ring of them
     after = np.roll(number, -1, axis=1)
     faces = np.stack([number[:-1], after[:-1], after[1:], number[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 3)
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
@@ -337,7 +339,7 @@ def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     left = np.concatenate([one, there[one]])
     right = np.concatenate([np.where(along, other, there[other]), np.where(along, there[other], other)])
     label, before = here, None
-    while before is None or (label != before).any():  # Corners that are one vertex take the lowest of their numbers.
+    while before is None or (label != before).any():  # Corners that become one vertex take the lowest of their numbers.
         before, label = label, label.copy()
         np.minimum.at(label, left, before[right])
         np.minimum.at(label, right, before[left])

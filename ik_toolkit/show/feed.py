@@ -60,20 +60,20 @@ class Feed:
             self._wake()
 
     def changed(self, path: str) -> None:
-        """Note that the drawing or the pose at a path has changed."""
+        """Remember to send what is drawn at a path and its pose, because one of them has changed."""
         self._paths.add(path)
         self._news()
 
     def deleted(self, path: str) -> None:
-        """Note that a path and everything below it is deleted."""
+        """Remember to delete a path and everything below it from the page."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
-        if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
+        if len(self._gone) > MOST_GONE:  # after too many deletions the page is cleared and drawn anew
             self._gone, self._paths = {""}, self.window.paths
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
-        """Note that the text or camera of the page has changed."""
+        """Remember to send the parts of the page's text, camera or animation that have changed."""
         self._about.update(about)
         self._news()
 
@@ -123,7 +123,7 @@ class Guest:
 
     def _send(self, command: dict[str, Any]) -> None:
         path = command["path"].removeprefix(ROOT)
-        if command["type"] == "copy":  # a command that only this package's own page understands
+        if command["type"] == "copy":  # only this package's own page understands this command
             made = self._window.drawing(command["source"].removeprefix(ROOT))["object"]
             made["materials"][0] |= {"color": command["color"], "opacity": command["opacity"], "transparent": True}
             command = {"type": "set_object", "object": made}

@@ -25,7 +25,7 @@ from .body import THINNEST, Body, DrawnShape, grid_cell, primitive, revolved
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3) and faces (M, 3)
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # The page's modules, in order of dependence.
+MODULES = ("robot", "solve", "draw", "hand", "main")  # The scripts of the page, each after those that it imports.
 # Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on a page.
 MOST_FACES = 40_000
 # Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
@@ -61,7 +61,7 @@ def joined(module: str) -> str:
 
 
 def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """Return the data for the page's modules (joints, moving nodes, tips and parts), and all triangles."""
+    """Return what the page's scripts must know of a robot (joints, nodes, tips, parts), and the bytes of all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
     size = float(np.linalg.norm(bounds[1] - bounds[0]))

@@ -34,7 +34,7 @@ def _number(color: tuple[float, ...]) -> int:
 
 
 def compressed(data: bytes) -> str:
-    """Return compressed data as text."""
+    """Return data compressed by gzip, as base64 text."""
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
@@ -52,7 +52,7 @@ class Cloud(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """The shape of another path (source) in another colour, whose triangles need not be sent again."""
+    """A shape that is drawn like the one at the path `source`, in another colour; its triangles need not be sent again."""
 
     source: str
     color: tuple[float, float, float]
@@ -81,11 +81,11 @@ class Window:
                 feed.changed(path)
 
     def draw(self, path: str, what: DrawnShape | Cloud | Copy) -> None:
-        """Draw triangles, points or a copy at a path."""
+        """Draw something (triangles, points or a copy) in the scene, under the name `path`."""
         self._keep(self.copies if isinstance(what, Copy) else self.objects, path, what)
 
     def place(self, path: str, T: np.ndarray) -> None:
-        """Set the pose (4, 4) [m] of a path in its parent."""
+        """Set the pose (4, 4) [m] of what is at a path, in the frame of the path above it."""
         self._keep(self.transforms, path, np.array(T, dtype=float))
 
     def pose(self, path: str) -> np.ndarray:
@@ -96,7 +96,7 @@ class Window:
         return T
 
     def delete(self, path: str) -> None:
-        """Remove a path and everything below it."""
+        """Remove what is drawn at a path and everything below it from the scene."""
         with self.lock:
             for kept in (self.objects, self.copies, self.transforms):
                 for key in [k for k in kept if k == path or k.startswith(path + "/")]:
@@ -166,7 +166,7 @@ class Window:
         return self.server.url
 
     def close(self) -> None:
-        """Stop serving the scene."""
+        """Stop serving the scene over the network; it can still be changed and saved."""
         if self.server is not None:
             self.server.stop()
             self.server = None
@@ -223,7 +223,7 @@ class Server:
         await server.close_all_connections()
 
     def stop(self) -> None:
-        """Close the port and end the thread."""
+        """Close the server's port and end its thread."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(5.0)
@@ -278,7 +278,7 @@ def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
                         await self.write_message(as_json(about))
 
         def on_message(self, message: str | bytes) -> None:
-            """Ignore messages from the page."""
+            """Ignore what the page sends, because this page only shows."""
 
         def on_close(self) -> None:
             with window.lock:

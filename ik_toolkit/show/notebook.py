@@ -30,7 +30,9 @@ from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
 from .scene_state import SceneState
 
-_standing: dict[str, Any] = {}  # the cell into which this kernel has written each shared part
+_standing: dict[
+    str, Any
+] = {}  # by the text of a part that cells share, the cell of this kernel's notebook that contains it
 
 
 class InCell(SceneState):
@@ -70,7 +72,7 @@ class InCell(SceneState):
                 targets[tip] = T if grips[one] else T[:3, 3]
         try:
             self._call(self.robot.for_tips(targets))
-        except Exception as error:  # An error of the user's function can be seen only in the cell.
+        except Exception as error:  # Only the cell can show an error of the user's function.
             self.say(f"{type(error).__name__}: {error}")
 
     def connect(self) -> None:
@@ -139,7 +141,7 @@ def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) ->
     """Return the outputs of a cell for a Window: text/html, image/png (with matplotlib) and text/plain. The camera must be set."""
     robots: dict[str, dict[str, Any]] = {}
     for path, drawn in window.objects.items():
-        if path.count("/") > 1:  # ROBOT/PART/NUMBER
+        if path.count("/") > 1:  # a path ROBOT/PART/NUMBER is a piece of a robot
             robots.setdefault(path.partition("/")[0], {})[path] = drawn
     rest = window.paths.difference(*robots.values())
     with window.lock:
@@ -235,7 +237,7 @@ class Channel:
         threading.Thread(target=self._run, daemon=True, name="ik scene channel").start()
 
     def shown(self) -> None:
-        """Note that the present contents are written into a cell, which will need only later changes."""
+        """Note that a cell has been given all contents of the scene, so that only later changes are sent."""
         self.since.take()
         self.feed.take()
         self.window.feeds |= {self.since, self.feed}

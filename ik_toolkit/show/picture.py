@@ -48,14 +48,14 @@ class _Pencil:
         self.draw = ImageDraw.Draw(self.image)
 
     def blend(self, color: np.ndarray, cover: np.ndarray) -> None:
-        """Draw pixels (H * W, 3) in 0..1, already multiplied by their opacity `cover` (H * W,), over what is there."""
+        """Draw an image (H * W, 3) in 0..1 over the picture; its colours are already multiplied by its opacity `cover` (H * W,)."""
         data = np.array(self.image).reshape(-1, 3)
         at = np.flatnonzero(cover)
         data[at] = np.round(255 * color[at] + (1.0 - cover[at, None]) * data[at])
         self.image.frombytes(data.tobytes())
 
     def ball(self, x: float, y: float, radius: float, fill: str) -> None:
-        """Draw a disc."""
+        """Draw a disc around pixel x, y with a radius [px], in a CSS colour."""
         radius = min(max(radius - 0.5, 0.5), self.image.width)  # Pillow adds the pixel in the middle.
         self.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill)
 
@@ -83,7 +83,7 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
     def inside(points: np.ndarray) -> Iterator[tuple[int, float, float, float]]:
         seen = camera.project(points)
         for k in np.flatnonzero((seen > 0).all(axis=1) & (seen[:, :2] < (W, H)).all(axis=1)):
-            yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # pixels per metre
+            yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # [pixels per metre] at this point
 
     for path, cloud in window.objects.items():
         if isinstance(cloud, Cloud):

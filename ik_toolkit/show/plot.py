@@ -189,9 +189,9 @@ def plot_stability(chart: StabilityChart) -> Any:
 
 
 def stability_map(axis: Any, chart: StabilityChart) -> Any:
-    """Draw a StabilityChart into an axis: the stable region, darker where errors die out faster.
+    """Draw a StabilityChart into a matplotlib axis: the stable region, darker where errors die out faster.
 
-    Returns what a colour bar takes.
+    Returns the drawn colours, for a colour bar.
     """
     points = chart.gain, chart.travel, chart.per_step
     shades = axis.contourf(*points, levels=[0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0], cmap="Blues_r", vmin=-0.2, vmax=1.15)

@@ -26,7 +26,7 @@ COLUMNS = 5  # largest number of columns of the legend of joints
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Yield matplotlib's pyplot with this package's style; figures made inside are not kept open. Raises MissingExtra."""
+    """Context manager: yield matplotlib's pyplot in this package's style; it keeps no figures open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -45,7 +45,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
 
 @contextmanager
 def charts(rows: int, columns: int, size: tuple[float, float], **more: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield a figure of a size [inches] and its charts (or the only one), in this package's style."""
+    """Context manager: yield a figure of a size [inches] and its charts (an array, or one), in this package's style."""
     with drawing() as plt:
         yield plt.subplots(rows, columns, figsize=size, layout="constrained", **more)
 
@@ -68,7 +68,7 @@ def skeletons(robot: Joints, q: np.ndarray) -> list[np.ndarray]:
 
 
 def raster(axis: Any, values: np.ndarray, low: Any, high: Any, **look: Any) -> Any:
-    """Draw values (X, Y) as coloured cells between two corners (2,) [m]; return what a colour bar takes."""
+    """Draw values (X, Y) as coloured cells between two corners (2,) [m]; return the drawn colours, for a colour bar."""
     axis.grid(False)
     extent = (low[0], high[0], low[1], high[1])
     return axis.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **look)
@@ -151,7 +151,7 @@ def tracking_errors(runs: Mapping[Any, TrackResult]) -> Any:
 
 # ----------------------------------------------------------------------------------------------------- motions
 def plot_track(result: TrackResult, robot: Joints) -> Any:
-    """Draw a tracking run. Raises MissingExtra without matplotlib."""
+    """Draw a TrackResult: the tip's path, and errors, joints and speeds over time. Raises MissingExtra without matplotlib."""
     slowed = result.added_time > 0.0
     with drawing() as plt:
         figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
@@ -243,7 +243,7 @@ def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
 
 
 def plot_motion(what: Any) -> Any:
-    """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
+    """Draw joints of a PathResult, or joints, speeds and accelerations of a Trajectory. Raises MissingExtra without matplotlib."""
     timed = hasattr(what, "dq")
     with charts(3 if timed else 2, 1, (8.6, 7.2 if timed else 5.6), sharex=True) as (figure, axes):
         x = what.t if timed else what.at

@@ -207,7 +207,7 @@ class Scene(InCell):
             self._say(name, (css(RED) if target.ndim == 1 else css(PURPLE) if free else bands, label))
 
     def name(self, path: str, text: str, below: bool = False) -> None:
-        """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
+        """Write a label above or below a drawn frame. Raises InvalidOption if no frame has this name."""
         self._known(path)
         others = [one for one in self.window.about["names"] if one[0] != path]
         self.window.say(names=[*others, (path, read_text(text, "text"), 6 if below else -24)])
@@ -311,7 +311,7 @@ class Scene(InCell):
         return self._aimed().serve(port)
 
     def close(self) -> None:
-        """Stop serving the scene."""
+        """Stop serving the scene over the network; it can still be changed and saved."""
         self.window.close()
 
     def _target(self, T_base: Any) -> tuple[np.ndarray, bool]:

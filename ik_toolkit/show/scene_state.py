@@ -89,7 +89,7 @@ class SceneState(Unique):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of everything drawn."""
+        """Names of everything drawn, by which it can be moved or removed."""
         return tuple(self._boxes)
 
     def remove(self, name: str) -> None:
@@ -132,7 +132,7 @@ class SceneState(Unique):
         moved = name in self._placed
         for kept in (self._placed, self._looks, self._parts, self._boxes, self._legend, self._marks):
             kept.pop(name, None)
-        if name == "robot":  # Its copies used its meshes, so they are drawn anew.
+        if name == "robot":  # Its translucent copies used its meshes, so they are drawn anew.
             for one in self._placed.keys() - self._bodies.keys():
                 self._put(one, self._placed[one], self._looks.pop(one))
         elif moved:

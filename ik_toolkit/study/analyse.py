@@ -31,7 +31,7 @@ from ..solvers.protocol import Asked
 from ..solvers.rules.state_space import HEAD, StateSpace
 from ..validate import switch
 
-# Iterations of the run that predicts outcomes. It does not overshoot; with the published gains, the error in the slowest direction
+# Iterations of the run of `predict`. This run does not overshoot; with the published gains, the error in the slowest direction
 # falls by a twentieth in each iteration.
 ITERATIONS = 3000
 FLAT = 1e-9  # a joint whose Jacobian column is below this share of the largest does not move the tip
@@ -40,7 +40,7 @@ ROUND = 1e-9  # relative tolerance of the test whether a vertex of a polytope is
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices of a state-space solver in base axes, metres and radians. Each of its M starts has a map: its own B and D.
+    """Matrices of a state-space solver in base axes, metres and radians. Each of its M starts has a B and a D of its own.
 
     Attributes:
         A: (m, m) state matrix.
@@ -79,7 +79,7 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
         D = table[:, n + 6 * m :].reshape(count, n, 6)
     axes, unit = robot.chain.ends[:9].reshape(3, 3).T, robot.chain.unit[:, None]
 
-    # a map of the solver takes errors in the solver's own axes, with lengths over the scale
+    # the solver's B and D take errors in axes of its own, with lengths over the robot's length scale
     def plain(maps: np.ndarray) -> np.ndarray:
         linear = maps[:, :, :3] @ axes / robot.chain.scale
         return linear if position_only else np.concatenate([linear, maps[:, :, 3:] @ axes], axis=2)
@@ -91,7 +91,7 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
 
 @dataclass(frozen=True)
 class LoopAnalysis:
-    """The loop of a state-space solver at N configurations.
+    """How a state-space solver, run as a feedback loop, reduces small errors near N configurations.
 
     Attributes:
         robot: The robot.
@@ -114,7 +114,7 @@ class LoopAnalysis:
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether the loop is stable near each configuration (N,)."""
+        """Whether errors die out near each configuration (N,): the spectral radius is below 1."""
         return self.spectral_radius < 1.0
 
     @property

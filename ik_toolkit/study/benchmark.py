@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, Portable, UnknownSolver, check_progress, whole
+from ..errors import IKError, Interrupted, InvalidOption, UnknownSolver, check_progress, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
-from ..text import TextTable, duration
+from ..text import Tabled, TextTable, duration
 from ..validate import one_of, solver_list
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
@@ -73,13 +73,13 @@ class BenchmarkRow:
     once: "BenchmarkRow | None" = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all but the arrays as plain numbers, ready for JSON."""
+        """Return all attributes but the arrays as numbers, strings and lists, ready for JSON."""
         plain = {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
         return plain if self.once is None else {**plain, "once": self.once.to_dict()}
 
 
 @dataclass(frozen=True, repr=False)
-class Benchmark:
+class Benchmark(Tabled):
     """Results of a benchmark for all robots and solvers.
 
     Attributes:
@@ -109,7 +109,7 @@ class Benchmark:
         return found
 
     def table(self) -> TextTable:
-        """Return what was found as a table, a row for each robot and solver."""
+        """Return success, iterations and times as a table, with a row for each robot and solver."""
         rows = []
         for robot, found in self.by_robot().items():
             for row in found:
@@ -129,14 +129,6 @@ class Benchmark:
             most=60,
         )
 
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
     def to_dict(self) -> dict[str, Any]:
         """Return all results as plain numbers, strings and lists, ready for JSON."""
         return {
@@ -149,13 +141,8 @@ class Benchmark:
         }
 
 
-class BenchmarkInterrupted(Portable, KeyboardInterrupt):
+class BenchmarkInterrupted(Interrupted):
     """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
-
-    def __init__(self, result: Benchmark) -> None:
-        """Keep the result of the finished part."""
-        super().__init__(f"interrupted with {len(result.rows)} rows")
-        self.result = result
 
 
 def benchmark(
@@ -235,17 +222,17 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # If no solver applies, an option is probably wrong, as the last error says.
+    # If no solver applies, an option is probably wrong, and the last error says which.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
     if stopped:
-        raise BenchmarkInterrupted(found)
+        raise BenchmarkInterrupted(found, f"with {len(rows)} rows")
     return found
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Return the name of a robot, with the names of its tips if it has several (or if `always`)."""
+    """Return the name of a row's robot, with the names of its tips if it has several, or if `always`."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -315,9 +302,9 @@ def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) 
 
 
 def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
-    """Solve targets one by one.
+    """Solve a block of m targets one by one, and time each call.
 
-    Returns a row for each (m, 7): time [s], status, iterations, restarts, evaluations, position error [m], rotation error [rad].
+    Returns a row for each target (m, 7): time [s], status, iterations, restarts, evaluations, errors [m] and [rad].
     """
     table = np.empty((len(T), 7))
     for k, target in enumerate(T):
@@ -332,7 +319,7 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
 
 
 def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
-    """Summarise the rows of `run_block`; the arrays of the result have the solved targets first."""
+    """Return the BenchmarkRow of the results (N, 7) of `run_block`; its arrays have the solved targets first."""
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)

@@ -9,7 +9,7 @@ from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarg
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
 from .calibration import Calibration, FixedUnknown
-from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversible, told_directions
+from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversible, untold_directions
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
@@ -175,10 +175,10 @@ def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int,
     range.
     """
     names = [one.name for one in fit.arm.unknowns]
-    _, N = fit.untold(fit.x, fit.z, fit.kept)
+    N = fit.untold(fit.x, fit.z, fit.kept)
     drawn = could = len(names) - N.shape[1]
     if fit.measured.what in ("pose", "position"):
-        drawn = len(names) - fit.untold(first_guess(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
+        drawn = len(names) - fit.untold(first_guess(fit.arm, fit.measured, fit.Q), fit.z, fit.kept).shape[1]
         could = _could_tell(fit)
     seen = np.linalg.norm(fit.weighted(fit.x, fit.z, fit.kept)[1], axis=0) > UNTOLD
     fixed = fit.fix(N) if N.shape[1] else {}
@@ -200,4 +200,4 @@ def _could_tell(fit: ArmFit) -> int:
     taken = fit.measured.taken(np.zeros(SAMPLES, dtype=int))
     A = taken.errors(T, fit.z)[1] @ J * fit.scales / taken.sigma(fit.noise)[:, None]
     share = np.sqrt(fit.kept.sum() / SAMPLES)
-    return A.shape[2] - told_directions(A.reshape(-1, A.shape[2]) * share)[1].shape[1]
+    return A.shape[2] - untold_directions(A.reshape(-1, A.shape[2]) * share).shape[1]

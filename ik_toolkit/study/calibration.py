@@ -14,27 +14,26 @@ from ..robot.formats.convert import corrected_robot
 from ..robot.formats.dh import DHTable
 from ..robot.robot import Robot
 from ..solvers.explain.dh_table import dh_of
-from ..text import TextTable, length
+from ..text import Tabled, TextTable, length
 from .calibration_fit import ArmFit
 from .calibration_report import open_points, page
 from .drawn_arm import DrawnArm, Unknown
 from .suggest_poses import chosen_poses
 
-MIXED_UP = (
-    0.05  # share of the reach: 5 mm and 1 degree at every joint of four arms leave 0.6 to 4.7 % before any correction
-)
+# Largest credible residual, over the reach. Errors of 5 mm and 1 degree at every joint of four arms cause 0.006 to 0.047.
+MIXED_UP = 0.05
 UNSURE = 0.7  # An error whose standard deviation exceeds this share of the prior's is hardly determined by the data.
 
 
 class FixedUnknown(NamedTuple):
-    """An unknown that was fixed at its nominal value, because the data cannot separate it from the others named, if any."""
+    """An unknown fixed at its nominal value, as the data do not depend on it, or cannot tell it from those in `shared`."""
 
     fixed: str
     shared: tuple[str, ...]
 
 
 @dataclass(repr=False, eq=False)
-class Calibration:
+class Calibration(Tabled):
     """Result of `calibrate`: how an arm differs from its nominal model ("as drawn").
 
     Lengths in metres, angles in radians; each error is in the axes of its joint's own frame (of the URDF), before the joint moves.
@@ -57,7 +56,7 @@ class Calibration:
     turned: np.ndarray  # (2, N) orientation residuals [rad] before and after, of measured poses; else empty
     held_out: float | None  # RMS residual [m] of measurements left out of the fit (5-fold cross-validation)
     outliers: tuple[int, ...]  # indices of the measurements that were left out of the fit
-    # joints whose sign is opposite to the model's; ratio of the errors with all of them reversed to those before
+    # By joint whose sign is opposite to the model's, the ratio of the errors with these joints reversed to those before.
     reversed: dict[str, float]
     width: float  # half width of a 95 % interval, in standard deviations
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
@@ -81,7 +80,11 @@ class Calibration:
         prior: Any,
         against: Mapping[str, Any],
     ) -> "Calibration":
-        """Make the result of a finished fit; before: residuals (N, per) of the nominal arm."""
+        """Make the Calibration from a finished ArmFit.
+
+        before: residuals (N, 3 or 6) [m, rad] of the nominal arm. fixed: unknowns that were fixed. ranks: `rank`, `rank_drawn` and
+        `rank_anywhere`. prior: standard deviations of the prior [m, rad]. against: the dict `reversed`.
+        """
         arm, data = fit.arm, fit.measured
         after, converged = fit.errors(fit.x, fit.z), fit.converged
         A = fit.weighted(fit.x, fit.z, fit.kept)[1][:, : len(fit.x)][:, fit.free]
@@ -132,13 +135,13 @@ class Calibration:
 
     @property
     def unsure(self) -> tuple[str, ...]:
-        """Names of errors whose interval is about as wide as that of the prior."""
+        """Names of the errors that the data hardly determine: their interval is about as wide as that of the prior."""
         loose = np.sqrt(np.diag(self.spread)) > UNSURE * self._arm().scales(*self.prior)
         return tuple(one.name for one, is_loose in zip(self.unknowns, loose, strict=True) if is_loose)
 
     @property
     def implausible(self) -> tuple[str, ...]:
-        """Names of errors, the base aside, that are above three standard deviations of the prior."""
+        """Names of the errors, except those of the base, that exceed three standard deviations of the prior."""
         far = np.abs(self.x) > 3.0 * self._arm().scales(*self.prior)
         return tuple(one.name for one, is_far in zip(self.unknowns, far, strict=True) if is_far and one.group != "base")
 
@@ -159,7 +162,7 @@ class Calibration:
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Root mean square residuals [m], without outliers, of the nominal and of the corrected arm."""
+        """Root mean square residuals [m] of the nominal and of the corrected arm, without the outliers."""
         kept = np.setdiff1d(np.arange(len(self.after)), self.outliers)
         return float(np.sqrt((self.before[kept] ** 2).mean())), float(np.sqrt((self.after[kept] ** 2).mean()))
 
@@ -169,7 +172,7 @@ class Calibration:
         return arm
 
     def fk(self, q: Any) -> pin.SE3:
-        """Compute the pose of the tip [m] at q (n,) [rad or m] (as it was measured) in the frame of the measurements."""
+        """Compute the corrected arm's tip pose [m] at measured joint values q (n,) [rad or m], in the frame of the measurements."""
         return pin.SE3(self._arm().poses(self.x, self.drawn.check_q(q)[None])[0])
 
     def predict(self, q: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -227,7 +230,7 @@ class Calibration:
 
     # ----------------------------------------------------------------------------------------------------------- text
     def table(self) -> TextTable:
-        """Return the errors that the data determine, as a table."""
+        """Return a table of the errors that the data determine, with their 95 % intervals."""
         kinds = {one.name: one.turns for one in self.unknowns}
         rows = [
             (
@@ -247,14 +250,6 @@ class Calibration:
         if not self.fixed:
             return ""
         return f"fixed as drawn, because it cannot be told from others: {', '.join(one.fixed for one in self.fixed)}"
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration as plain numbers, strings and lists."""
@@ -291,5 +286,5 @@ class Calibration:
 
 
 def shown(value: float, turns: bool) -> str:
-    """Write an error [m or rad] in mm or degrees, with its sign."""
+    """Return an error [m or rad] in mm, or in degrees if it `turns`, as text with its sign."""
     return f"{np.degrees(value) if turns else 1e3 * value:+.3f}"

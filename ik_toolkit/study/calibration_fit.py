@@ -17,7 +17,8 @@ from ..robot.rotation import nearest_rotation
 from .drawn_arm import WIDE, DrawnArm
 from .measurements import NOISE, Measurements
 
-UNTOLD = 0.5  # singular value below which a direction counts as not determined; such data narrow a prior by a tenth
+# A direction with a smaller singular value counts as not determined: there the data narrow the prior by less than a tenth.
+UNTOLD = 0.5
 LEAST = 1e-6  # [m, rad] lower bound on the estimated noise, below that of any instrument
 OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
 LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
@@ -27,7 +28,7 @@ SIGNS = (0.01, 4.0, 7)
 
 
 class ArmFit:
-    """A calibration fit in progress.
+    """A least-squares fit of an arm's errors to measurements, in progress.
 
     Attributes:
         arm, measured, Q: The arm, the measurements and the joint values (N, n).
@@ -58,7 +59,7 @@ class ArmFit:
 
     # -------------------------------------------------------------------------------------------------------- one fit
     def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals of some measurements and of known places over their noise (m,), and their Jacobian (m, P + Z).
+        """Return residuals (m,) of some measurements and of known places, divided by their noise, and their Jacobian (m, P + Z).
 
         The Jacobian is with respect to the unknowns of the arm in units of the prior, and z in metres.
         """
@@ -72,7 +73,7 @@ class ArmFit:
         return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
 
     def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
-        """Fit x and z to some measurements, starting from their present values, in at most `most` evaluations."""
+        """Fit the unknowns x and z to some measurements, from their present values, in at most `most` evaluations."""
         P, free = len(self.x), self.free
         used = np.append(free, np.ones(len(self.z), dtype=bool))
         start = np.append(self.x, self.z)
@@ -113,7 +114,7 @@ class ArmFit:
         return every[:P], every[P:]
 
     def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the errors (N, per) [m, rad] of all measurements."""
+        """Return the residuals of all measurements (N, per) [m, rad], `per` numbers a measurement, for unknowns x and z."""
         return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
 
     def typical(self) -> float:
@@ -182,8 +183,8 @@ class ArmFit:
         return float(np.trace(np.linalg.pinv(H + prior, hermitian=True) @ H))
 
     # ------------------------------------------------------------------------------------------------------ what is told
-    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return singular values of the Jacobian, and a basis (P, k) of the directions that the data do not determine.
+    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return a basis (P, k) of the directions that the data do not determine, from the Jacobian's singular values.
 
         The Jacobian is with respect to all unknowns of the arm; the unknowns z of touched objects are eliminated from it.
         """
@@ -194,10 +195,10 @@ class ArmFit:
             U, s, _ = np.linalg.svd(Z, full_matrices=False)
             U = U[:, s > 1e-9 * s[0]]
             A = A - U @ (U.T @ A)
-        return told_directions(A)
+        return untold_directions(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
-        """Fix one unknown at 0 for each direction of a basis N (P, k); return for each the unknowns it cannot be separated from.
+        """Fix one unknown at 0 for each direction of a basis N (P, k); return each with the unknowns it cannot be separated from.
 
         Errors of link frames are fixed first, so that offsets of joints, tool and base stay free if possible.
         """
@@ -260,11 +261,10 @@ class ArmFit:
         return found
 
 
-def told_directions(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return singular values (P,) of a Jacobian A (m, P) in units of prior and noise, and a basis (P, k) of untold directions."""
+def untold_directions(A: np.ndarray) -> np.ndarray:
+    """Return a basis (P, k) of the directions whose singular values of A (m, P), in units of prior and noise, are below UNTOLD."""
     squares, V = np.linalg.eigh(A.T @ A)
-    S = np.sqrt(np.maximum(squares, 0.0))[::-1]
-    return S, V[:, ::-1][:, S < UNTOLD]
+    return V[:, squares < UNTOLD**2][:, ::-1]
 
 
 def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:

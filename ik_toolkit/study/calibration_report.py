@@ -23,7 +23,7 @@ TOUCH = {
 def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     """Return sentences on what the data do not determine and on what is unusual.
 
-    placed: whether places are known; pairs: number of known distances; given: whether the noise was given.
+    placed: whether positions of sockets are known. pairs: number of known distances. given: whether the noise was given.
     """
     said, kept = [], len(found.after) - len(found.outliers)
     for joint, share in found.reversed.items():
@@ -78,7 +78,7 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
 
 
 def page(found: Any) -> str:
-    """Write a calibration as an HTML page."""
+    """Return a Calibration as the text of an HTML page: errors, residuals, and what the data do not determine."""
     before, after = found.rms
     kept = len(found.after) - len(found.outliers)
     figures = {

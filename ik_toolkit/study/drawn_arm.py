@@ -60,7 +60,7 @@ class DrawnArm:
             pin.Frame("measured tip", tip.parentJoint, tip.placement, pin.FrameType.OP_FRAME)
         )
         self._base = base_id
-        self._up = set(robot._path.joints[: robot._path.up])  # joints of the branch that carries the base
+        self._up = set(robot._path.joints[: robot._path.up])  # joints between root and base
         self._drawn = [placement.copy() for placement in self.model.jointPlacements]
         self._data = self.model.createData()
         unknowns: list[Unknown] = []
@@ -90,7 +90,7 @@ class DrawnArm:
         return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
-        """Return the error transforms C for the unknowns x, by joint (0: tip, -1: base)."""
+        """Return the transforms that the errors x (P,) cause, by the joint's number in the model; 0 is the tip, -1 the base."""
         return {place.joint: _motion(place, x)[0] for place in self._places}
 
     def poses(self, x: np.ndarray, Q: np.ndarray) -> np.ndarray:

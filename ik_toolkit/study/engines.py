@@ -33,7 +33,7 @@ class Swarm:
         self.cost = np.full(population, np.inf)
 
     def ask(self) -> np.ndarray:
-        """Return the candidates (population, d) to be evaluated next."""
+        """Return the particles' positions (population, d) in the unit box, to be evaluated next."""
         return self.x
 
     def tell(self, costs: np.ndarray) -> None:
@@ -62,7 +62,7 @@ class Evolution:
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 
     def ask(self) -> np.ndarray:
-        """Return the candidates (population, d) to be evaluated next."""
+        """Return candidates (population, d) in the unit box, to be evaluated next."""
         self.asked = self.engine.ask()
         return np.array(self.asked)[:, : self.size]
 

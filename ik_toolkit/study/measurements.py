@@ -16,7 +16,7 @@ from ..robot.formats.finding import did_you_mean
 from ..robot.pose import as_matrix
 from ..text import length
 
-# how many numbers a measurement of each kind gives
+# how many numbers each kind of measurement gives
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
@@ -27,7 +27,7 @@ FAR = 10.0
 
 
 class Measurements:
-    """Measurements of one kind.
+    """Measurements of the tip, all of one kind, as `calibrate` takes them.
 
     Attributes:
         what: The kind, a key of WHAT.
@@ -114,7 +114,7 @@ class Measurements:
         return len(self.lengths if self.what == "distance" else self.labels)
 
     def taken(self, rows: np.ndarray) -> "Measurements":
-        """Return the measurements of some rows; sockets, planes or fixed ends keep their indices."""
+        """Return the Measurements of some rows (a mask or indices); sockets, planes or fixed ends keep their indices."""
         other = Measurements.__new__(Measurements)
         other.__dict__.update(vars(self))
         for name in ("positions", "rotations", "lengths", "labels"):
@@ -127,13 +127,8 @@ class Measurements:
 
         drawn: tip positions (N, 3) [m] of the drawn arm in the measured configurations.
         """
-        spread = (
-            float(np.ptp(self.positions, axis=0).max())
-            if len(self.positions)
-            else float(np.ptp(self.lengths))
-            if len(self.lengths)
-            else 0.0
-        )
+        given = self.positions if len(self.positions) else self.lengths[:, None]
+        spread = float(np.ptp(given, axis=0).max()) if len(given) else 0.0
         if spread > FAR * reach:
             raise InvalidTarget(
                 f"the measurements spread over {spread:.4g} m, {spread / reach:.0f} times the robot's reach of {reach:.3g} m; were "
@@ -147,7 +142,7 @@ class Measurements:
             )
 
     def names(self) -> list[str]:
-        """Return the names of the unknowns z."""
+        """Return the names of the unknowns z, the coordinates of sockets, planes or fixed ends."""
         if self.what == "plane":
             return [f"plane {k}.{part}" for k in range(self.count) for part in ("tilt 1", "tilt 2", "distance")]
         word = "socket" if self.what == "socket" else "fixed end"

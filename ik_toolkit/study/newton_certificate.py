@@ -40,14 +40,14 @@ from ..validate import switch
 class Allowances(NamedTuple):
     """Allowances for rounding, so that it cannot invalidate what is proven."""
 
-    share: float = 1e-9  # beta, eta, L and r are raised by this share of themselves, and R is lowered
+    share: float = 1e-9  # beta, eta, L and r are multiplied by 1 + share, and R by 1 - share
     condition: float = 1e5  # Nothing is claimed if F'(q0) is conditioned worse, as its inverse may be off by `share`.
     kinematics: float = 1e-12  # rounding of the pose [rad, or lengths over the scale], added to the error e
-    widest: float = 1e3  # largest coordinate [rad, or lengths over the scale], which rounds to 1e-13
-    flat: float = 1e-9  # distance [rad, or lengths over the scale] of a target from the arm's plane that is rounding
-    parallel: float = 1e-12  # sine of the angle between axes that count as parallel; `share` covers the difference
+    widest: float = 1e3  # largest joint value [rad, or lengths over the scale] that is accepted; it rounds to 1e-13
+    flat: float = 1e-9  # a target this near to the arm's plane [rad, or lengths over the scale] counts as in it
+    parallel: float = 1e-12  # axes count as parallel below this sine of their angle; `share` covers the difference
     turned: float = 3.1  # largest |phi| [rad] for which something is claimed, because log is not smooth at half a turn
-    listed: float = 1e-6  # distance [in the norm] by which a listed solution may differ from the exact one
+    listed: float = 1e-6  # distance [of `norm`] by which a listed solution may differ from the exact one
 
 
 ALLOW = Allowances()
@@ -94,7 +94,7 @@ class NewtonCertificate:
         return (self.h <= 0.5) & (self.inside | (not self.limits))
 
     def norm(self, dq: Any) -> np.ndarray:
-        """Return the length (...) of displacements dq (..., n) [rad or m] in the norm of this certificate."""
+        """Return the length (...) of displacements dq (..., n) [rad or m] in the norm of eta, radius and bounds."""
         return np.linalg.norm(np.asarray(dq, dtype=float) @ self._to_norm.T, axis=-1)
 
     def bound(self, steps: int) -> np.ndarray:
@@ -186,7 +186,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     slides, runs = (robot.chain.rows[:, 9] == 0.0).any(), int(turning[-1].sum())
     L = np.zeros_like(beta)
     L[:, 0] = _position_constant(robot, Q, 2.0 * eta, turning)
-    if kinds[0] == KIND.pose and runs > 1:  # With one run of parallel axes log(R R*') is linear in q.
+    if kinds[0] == KIND.pose and runs > 1:  # If all axes are parallel, the rotation error log(R R*') is linear in q.
         L[known, 1] = _rotation_constant((angle + np.sqrt(runs) * 2.0 * eta)[known], runs)
     L *= 1.0 + ALLOW.share
     omega = (beta * L).sum(axis=1)
@@ -197,7 +197,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     # Bounds that depend on slides or on phi hold only within 2 eta of q0.
     far = 2.0 * eta if slides or L[:, 1].any() else root / np.where(known, omega, 1.0)
     each = np.linalg.norm(np.linalg.inv(to_norm), axis=1) * robot.chain.unit * radius[:, None]
-    # the limits as the solver uses them
+    # these are the limits that the solver itself reads
     lower, upper = robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
@@ -258,7 +258,7 @@ def _position_constant(robot: Robot, Q: np.ndarray, around: np.ndarray, turning:
     slides = np.zeros((n, n))
     slides[1:] = turning[:-1] * np.abs(rows[1:, 6:7])
     if (rows[:, 9] > 0.0).all():
-        lengths = lengths[:1]  # the constant is the same at every configuration
+        lengths = lengths[:1]  # this constant does not depend on the configuration
     D = np.einsum("nk,ki,kj->nij", lengths, turning, turning) + slides + slides.T
     return np.broadcast_to(chain.scale * np.linalg.norm(D, 2, axis=(1, 2)), len(Q))
 

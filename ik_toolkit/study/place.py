@@ -6,13 +6,13 @@ votes for the bases from which it is reached. Bases spread over the floor are ad
 last candidates reach are counted.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..errors import Interrupted, InvalidOption, InvalidTarget, check_progress, floats, whole
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -20,19 +20,19 @@ from ..solvers.batch.targets import known, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
 from ..solvers.solve import require_robot
-from ..text import TextTable, angle, figure, how_many, length
+from ..text import Tabled, TextTable, angle, figure, how_many, length
 from ..validate import number, switch
 from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
 from .reachability import quality
 
-# the attributes of a placement that are written to files
+# the attributes of a Placement that are written to files
 NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Placement:
-    """A base pose, and what is reached from it.
+    """A pose of the robot's base, and what the robot reaches from there.
 
     Attributes:
         T_world_base: Pose (4, 4) [m] of the base, in the frame of the poses.
@@ -69,7 +69,7 @@ class Placement:
 
     @property
     def counts(self) -> str:
-        """Text with the number of poses reached: '12 of 40', for several tips with their names."""
+        """Number of poses reached, as text: '12 of 40', for several tips a number each with its name."""
         names = list(dict.fromkeys(self.tips.tolist()))
         each = [self.reached[self.tips == tip] for tip in names]
         said = [f"{one.sum()} of {len(one)}" for one in each]
@@ -89,7 +89,7 @@ class Placement:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Placements(Sequence[Placement]):
+class Placements(Tabled, Sequence[Placement]):
     """Base poses, best first; and all bases that were examined, for a picture of the floor.
 
     Attributes:
@@ -117,12 +117,8 @@ class Placements(Sequence[Placement]):
         """Return placement k; 0 is the best."""
         return self.found[k]
 
-    def __iter__(self) -> Iterator[Placement]:
-        """Yield the placements, best first."""
-        return iter(self.found)
-
     def table(self) -> TextTable:
-        """Return the placements as a table."""
+        """Return a table with a row for each placement: base pose, poses reached, clearance, margin."""
         rows = [
             (
                 k,
@@ -139,14 +135,6 @@ class Placements(Sequence[Placement]):
             self.robot, f"{how_many(len(rows), 'place')} to stand", head, rows, "ik.plot(placements) draws the floor."
         )
 
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
-
     def to_dict(self) -> dict[str, Any]:
         """Return the placements as plain numbers, strings and lists."""
         rows = [{key: getattr(one, key) for key in NUMBERS} | {"reached": one.reached.tolist()} for one in self.found]
@@ -154,13 +142,8 @@ class Placements(Sequence[Placement]):
         return {"robot": self.robot, "poses": len(tips), "tips": tips, "placements": rows}
 
 
-class PlaceInterrupted(Portable, KeyboardInterrupt):
+class PlaceInterrupted(Interrupted):
     """Ctrl-C during a search for base poses; `result` has the Placements of the best candidates so far."""
-
-    def __init__(self, result: Placements) -> None:
-        """Keep the placements."""
-        super().__init__(f"interrupted after {len(result.candidates)} candidates")
-        self.result = result
 
 
 def place(
@@ -223,7 +206,8 @@ def place(
     except KeyboardInterrupt:
         if not study.tried:
             raise
-        raise PlaceInterrupted(_result(study, count, False)) from None
+        found = _result(study, count, False)
+        raise PlaceInterrupted(found, f"after {len(found.candidates)} candidates") from None
 
 
 def _poses(robot: Robot | Tree, given: Any) -> dict[str, np.ndarray]:

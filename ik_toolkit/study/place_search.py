@@ -15,11 +15,11 @@ from ..solvers.solve import Solver
 class SearchSizes(NamedTuple):
     """Sizes of the search, chosen on a benchmark of 800 poses along three edges of a sheet."""
 
-    samples: int = 400_000  # sampled configurations of the inverse reachability map
+    samples: int = 400_000  # random configurations of which the inverse reachability map is made
     height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
     sides: int = 9  # number of cells along each edge of the cube onto which directions are projected
-    floor: float = 1 / 24  # width of the cells of the floor in which votes are counted, over the reach
-    yaws: int = 36  # number of cells of yaw in which votes are counted
+    floor: float = 1 / 24  # width of the cells of the floor, over the reach, in which the map counts poses in reach
+    yaws: int = 36  # number of cells of yaw in which the map counts poses in reach
     voted: int = 300  # number of candidates proposed by the inverse reachability map
     spread: int = 3000  # number of candidates spread evenly over the region
     few: int = 32  # number of poses on which these candidates are examined
@@ -27,7 +27,7 @@ class SearchSizes(NamedTuple):
     keep: int = 10  # number of bases that are refined
     around: int = 20  # number of new bases around each base that is refined
     last: int = 740  # number of candidates that are examined on all poses
-    # number of rounds in which the best three bases are refined; their new bases are among the `last` candidates
+    # number of rounds that refine the best three bases; their new bases are among the `last` candidates
     final: int = 8
     attempts: int = 4  # number of solver attempts per pose while candidates are examined
     sure: int = 50  # number of solver attempts per pose for the placements that are returned
@@ -48,7 +48,7 @@ def base_poses(bases: np.ndarray) -> np.ndarray:
 
 
 def in_base(bases: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Return poses (M, N, 4, 4) or positions (M, N, 3) seen from bases (M, 4), of W (N, 4, 4) or (N, 3) in the world."""
+    """Return world poses W (N, 4, 4), or positions (N, 3), in the frames of bases (M, 4), as (M, N, 4, 4) or (M, N, 3)."""
     inverse = np.linalg.inv(base_poses(bases))
     if W.ndim == 2:
         return np.einsum("mij,nj->mni", inverse[:, :3, :3], W) + inverse[:, None, :3, 3]
@@ -84,7 +84,7 @@ class Candidates:
         self.full: list[tuple[np.ndarray, np.ndarray]] = []
 
     def run(self) -> None:
-        """Examine bases; `best` then returns the best of them."""
+        """Search for bases from which most poses are reached; `best` returns those found, also after an interruption."""
         S, N = SEARCH, sum(map(len, self.W.values()))
         few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
         # widths within which the first round of refinement draws new bases: those of the region, but at most a share of the reach
@@ -107,7 +107,7 @@ class Candidates:
             self.full.append((new, self.count(new, self.W, S.keep, score)))
 
     def best(self) -> np.ndarray:
-        """Return the bases (M, 4) so far, best first; only those examined on all poses, if there are any."""
+        """Return the bases (M, 4) examined so far, best first; if some were examined on all poses, only those."""
         bases, score = put_together(self.full or self.tried)
         return self.top(bases, score, len(bases))[0]
 
@@ -129,7 +129,7 @@ class Candidates:
         return bases[order], score[order]
 
     def near(self, bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
-        """Return `count` random bases around each of `bases`, inside the region."""
+        """Return `count` random bases inside the region around each of `bases` (M, 4), at most width (4,) away."""
         new = np.repeat(bases, count, axis=0) + self.rng.normal(size=(len(bases) * count, 4)) * width
         if self.high[2] - self.low[2] > 2.0 * np.pi - 1e-9:
             new[:, 2] = (new[:, 2] - self.low[2]) % (2.0 * np.pi) + self.low[2]
@@ -165,7 +165,7 @@ class Candidates:
         return share
 
     def reach(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return which poses W are reached from bases (m, 4) without obstacles (m, N), and q (m, N, n)."""
+        """Return which poses W are reached from bases (m, 4) if there are no obstacles (m, N), and joint values (m, N, n)."""
         found = [self.solve(tip, in_base(bases, T).reshape(-1, *T.shape[1:]), SEARCH.attempts) for tip, T in W.items()]
         good, q = zip(*found, strict=True)
         return (
@@ -176,7 +176,7 @@ class Candidates:
     def reach_beside(
         self, bases: np.ndarray, W: dict[str, np.ndarray], reached: np.ndarray, q: np.ndarray
     ) -> np.ndarray:
-        """Return which poses (m, N) are reached free of contact; `reached` (m, N): those reached at q (m, N, n) at all.
+        """Return which poses (m, N) are reached free of contact; `reached` (m, N): those that q (m, N, n) reaches at all.
 
         Where q is in contact, the pose is solved again from a few random starts.
         """
@@ -196,7 +196,7 @@ class Candidates:
         return free
 
     def untouched(self, bases: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Return which configurations q (k, n) of the robot at bases (k, 4), equal ones side by side, are free of contact."""
+        """Return which configurations q (k, n) at bases (k, 4) touch no obstacle; equal bases are side by side."""
         free, at = np.zeros(len(q), bool), None
         for k, base in enumerate(bases):
             if at is None or (base != at).any():
@@ -211,7 +211,7 @@ class Candidates:
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
     def solve_beside(self, base: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for all poses from one base (4,), with the obstacles of the scene if any; return as `solve` does."""
+        """Solve for all poses from one base (4,), among the obstacles; return which are reached (N,), and q (N, n)."""
         more: dict[str, Any] = {"check": 1.0}
         if self.scene is not None:
             self.stand(base)
@@ -226,7 +226,7 @@ class Candidates:
             self.scene.move(name, back @ at)  # pyright: ignore[reportOptionalMemberAccess]
 
     def votes(self) -> np.ndarray:
-        """Return the bases (M, 4) with most votes of the inverse reachability map; none for positions, as any yaw suits them."""
+        """Return the bases (M, 4) that reach most poses by an inverse reachability map; none if positions are asked for."""
         S, reach = SEARCH, self.robot.reach
         cell, found, tables = reach * S.floor, [np.empty((0, 4))], []
         for arm in self.robot.arms:
@@ -246,7 +246,8 @@ class Candidates:
                     at = at[((at >= 0) & (at < sides)).all(axis=1)]
                     votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
-            for axis in range(3):  # add the votes of neighbouring cells; yaw is periodic, outer x and y cells are empty
+            # add the counts of neighbouring cells; yaw is periodic, and the outer cells of x and y are empty
+            for axis in range(3):
                 smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
             x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)

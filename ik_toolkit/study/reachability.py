@@ -13,7 +13,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, Portable, check_progress, whole
+from ..errors import IKError, Interrupted, InvalidOption, check_progress, whole
 from ..files import PARTIAL, as_output, require_place
 from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
@@ -29,16 +29,8 @@ from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
 
 
-class ReachabilityInterrupted(Portable, KeyboardInterrupt):
+class ReachabilityInterrupted(Interrupted):
     """Ctrl-C during a study of reachability; `result` is the ReachabilityMap of what was finished before it."""
-
-    def __init__(self, result: ReachabilityMap) -> None:
-        """Keep the map of the finished part."""
-        counts = result.counts()
-        super().__init__(
-            f"interrupted after {result.states.size - counts['untried']:,} of {result.states.size:,} answers"
-        )
-        self.result = result
 
 
 class MapNotSaved(IKError):
@@ -51,7 +43,7 @@ class MapNotSaved(IKError):
 
 
 def decides(plan: Plan) -> bool:
-    """Return whether solving with this plan (choice of solvers) decides every target, so that more attempts are of no use."""
+    """Return whether this plan's solver finds or excludes a solution of every target, so that more attempts are of no use."""
     return plan.row.closed or isinstance(plan, Deciding)
 
 
@@ -137,9 +129,10 @@ def reachability(
         study.search()
         audited = study.audit(tried_again, plan.options.seed)
     except KeyboardInterrupt:
-        if (study.states != Reach.UNTRIED).any():
-            raise ReachabilityInterrupted(study.result(audited, said)) from None
-        raise
+        if not (tried := int((study.states != Reach.UNTRIED).sum())):
+            raise
+        done = f"after {tried:,} of {study.states.size:,} answers"
+        raise ReachabilityInterrupted(study.result(audited, said), done) from None
     finally:
         if log is not None:
             log.close(False)
@@ -193,7 +186,7 @@ class _Study:
             self.q[rows[states == Reach.YES]] = q
 
     def search(self) -> None:
-        """Compute the answers of all cells and orientations."""
+        """Compute whether each cell is reached in each orientation, and write finished parts to the file."""
         rest = np.flatnonzero(self.states == Reach.UNTRIED)
         if decides(self.plan):
             self.solve(rest, Reach.MANY)
@@ -212,7 +205,7 @@ class _Study:
                 self.flood(tried)
 
     def open_beside_yes(self) -> np.ndarray:
-        """Return the answers left open by few attempts whose cells touch, even at a corner, a reached cell of equal orientation."""
+        """Return the indices of answers left open by few attempts whose cell touches one reached in the same orientation."""
         near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
         for axis in range(3):
             one = np.moveaxis(near, axis, 0)
@@ -222,7 +215,7 @@ class _Study:
         return np.flatnonzero(near.ravel() & (self.states == Reach.FEW))
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
-        """Solve for answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get the state `failed`.
+        """Solve the targets of answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get state `failed`.
 
         Returns the number of targets that are newly reached.
         """
@@ -267,7 +260,7 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Try answers that were not found from the configurations of reached neighbours, until that finds no more solutions.
+        """Solve unreached targets again from the configurations of reached neighbours, until no more solutions are found.
 
         tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """
@@ -303,7 +296,7 @@ class _Study:
         return Audit(len(left), len(rows), found, EFFORT.audited)
 
     def result(self, audit: Audit | None, options: str) -> ReachabilityMap:
-        """Return the map of the answers so far."""
+        """Return the ReachabilityMap of the answers computed so far."""
         audit = Audit(int((self.states >= Reach.FEW).sum())) if audit is None else audit
         grid, robot = self.grid, self.robot
         K, cells = grid.turns, grid.cells

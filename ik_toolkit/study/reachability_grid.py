@@ -15,10 +15,10 @@ from .workspace import envelope
 class GridEffort(NamedTuple):
     """Numbers of solver attempts; `scripts/benchmarks/reach.py` measures what they miss on a Panda."""
 
-    few: int = 4  # number of attempts at each answer of a grid, before the configurations of its neighbours are tried
+    few: int = 4  # number of attempts at each target of a grid, before the configurations of its neighbours are tried as starts
     # number of attempts at an unreached, unproven cell that touches a reached one, and at single poses, which have no neighbours
     many: int = 50
-    groups: int = 16  # number of groups into which such cells are divided, each with random starts of its own
+    groups: int = 16  # number of groups of cells beside reached ones, each with random starts of its own
     audited: int = 1000  # number of attempts at each unproven answer that the audit tries again
     chunk: int = 2**16  # number of answers computed between two writes to the file
     cells: int = 40  # number of cells along the longest side of a region, unless the resolution is given
@@ -52,7 +52,7 @@ class Grid:
 
     @property
     def cells(self) -> int:
-        """Number of cells."""
+        """Number of cells of the map, or of single poses."""
         return int(np.prod(self.shape, dtype=object))
 
     @property
@@ -62,7 +62,7 @@ class Grid:
 
     @property
     def answers(self) -> int:
-        """Number of answers: cells times orientations."""
+        """Number of answers, one for each cell and orientation."""
         return self.cells * self.turns
 
     def memory(self, n: int) -> int:

@@ -14,14 +14,14 @@ import numpy as np
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..files import as_output, as_path, check_arrays, whole_file, why_unread
 from ..robot.pose import check_target
-from ..text import TextTable, figure, length
+from ..text import Tabled, TextTable, figure, length
 from ..validate import number, one_of
 from .benchmark import wilson
 from .reachability_grid import Grid
 
 
 class Reach(IntEnum):
-    """Codes of the answers in a map."""
+    """States of the answers in a ReachabilityMap: whether a cell is reached in an orientation."""
 
     UNTRIED = 0
     YES = 1  # reached, with a configuration that was checked
@@ -65,7 +65,7 @@ class Audit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReachabilityMap:
+class ReachabilityMap(Tabled):
     """What a robot reaches, cell by cell; made by `ik.reachability`.
 
     An answer is about the pose at the centre of its cell: yes means that a configuration inside the limits was computed and
@@ -186,7 +186,7 @@ class ReachabilityMap:
 
     # ------------------------------------------------------------------------------------------------------ words
     def table(self) -> TextTable:
-        """Return what was found as a table."""
+        """Return a table of the shares reached, out of reach and undecided, with the audit below it."""
         counts, total = self.counts(), max(self.states.size, 1)
         rows = [(ANSWERS[key], count, f"{100.0 * count / total:.2f} %") for key, count in counts.items() if count]
         if self.grid.poses is not None:
@@ -201,14 +201,6 @@ class ReachabilityMap:
             )
             what = f"{sides} cells of {length(float(self.grid.size.max()))}{of}, with {self.tip}"
         return TextTable(self.robot, what, ("answer", "number", "share"), rows, f"{self.audit}. ik.plot(map) draws it.")
-
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the summary as plain numbers and texts, without the cells."""
@@ -350,7 +342,7 @@ class Log:
             )
 
     def close(self, finished: bool) -> None:
-        """Close the file, and remove it if the map was written."""
+        """Close the file, and remove it if the study is `finished` and its map was written."""
         try:
             self.stream.close()
         except OSError:  # on a full disk, flushing fails again when the file is closed

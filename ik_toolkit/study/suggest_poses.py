@@ -70,9 +70,9 @@ def chosen_poses(
     avoid: Any,
     seed: int,
 ) -> np.ndarray:
-    """Choose configurations (count, n) to add to earlier measurements.
+    """Choose the configurations (count, n) [rad or m] that add most to earlier measurements.
 
-    known: inverse covariance (P, P) of the unknowns from these measurements.
+    known: inverse covariance (P, P) of the unknowns after the earlier measurements.
     """
     count = whole(count, "count")
     if what not in ("pose", "position"):

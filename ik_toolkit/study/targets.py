@@ -17,7 +17,7 @@ POOL = 200_000  # number of random configurations whose tips fill the voxels
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
-    """Return the tip to use: the given one, or a Robot's own.
+    """Return the given tip, or a Robot's only one if `tip` is None.
 
     Raises:
         InvalidOption: None is given, and the robot has several.

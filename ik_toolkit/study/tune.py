@@ -46,7 +46,7 @@ class Score:
 
     @property
     def total(self) -> int:
-        """Number of targets in all sets."""
+        """Number of targets in all sets together."""
         return self.targets * len(self.successes)
 
     @property
@@ -56,7 +56,7 @@ class Score:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % Wilson interval of the share."""
+        """95 % Wilson interval (low, high) of the share of solved targets."""
         return wilson(sum(self.successes), self.total)
 
     @property
@@ -65,7 +65,7 @@ class Score:
         return self.share, -self.iterations if self.iterations == self.iterations else -math.inf
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the score as plain numbers and lists."""
+        """Return counts, share with its interval, and iterations as numbers and lists, ready for JSON."""
         return {
             "successes": self.successes,
             "targets_a_set": self.targets,
@@ -100,9 +100,9 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 
 @dataclass
 class TuneResult:
-    """Result of tuning.
+    """Result of `tune`: the best parameters found for a solver, and how they compare on fresh targets.
 
-    A rule is a solver with given parameters. Three are compared on held-out targets: the tuned one, the one that the search started
+    A rule is a solver with given parameters. Three are compared on held-out targets: the tuned rule, the one the search started
     from, and the solver's default.
     The default cannot be kept if maps= or initial= asked for another structure.
     """
@@ -320,7 +320,7 @@ class _Search:
         seconds: float | None,
         progress: Callable[[int, np.ndarray], None] | None,
     ) -> None:
-        """Search for a number of generations or seconds."""
+        """Search until the highest number of generations or seconds is reached."""
         begun = perf_counter()
         for generation in range(generations):
             if seconds is not None and perf_counter() - begun > seconds:
@@ -328,7 +328,7 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # before the first generation the start is the best candidate
+        if not self.best:  # the best candidate before the first generation
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:

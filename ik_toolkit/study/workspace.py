@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.jit import compile_time
-from ..errors import InvalidOption, Portable, check_progress, whole
+from ..errors import Interrupted, InvalidOption, check_progress, whole
 from ..files import PARTIAL, WholeFile, as_output, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -20,14 +20,14 @@ from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
-from ..text import TextTable, duration, length
+from ..text import Tabled, TextTable, duration, length
 from ..validate import solver_list
 from .benchmark import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
 
 class StudySizes(NamedTuple):
-    """Sizes of a workspace study."""
+    """Sizes of a workspace study: cells of the map, and what is kept in memory."""
 
     cells: int = 24  # number of cells along the longest side of the success map
     envelope: int = 100_000  # number of random configurations whose tip positions give the envelope
@@ -40,7 +40,7 @@ SIZES = StudySizes()
 
 @dataclass
 class SolverCounts:
-    """Counts of one solver over the workspace."""
+    """How many targets all over the workspace one solver solved, with iterations, errors and times."""
 
     solver: str  # name of the solver
     targets: int = 0  # number of targets
@@ -70,7 +70,7 @@ class SolverCounts:
 
 
 @dataclass(repr=False)
-class Workspace:
+class Workspace(Tabled):
     """What a workspace study found: the reach of the tip, and where solvers succeed."""
 
     robot: str  # name of the robot
@@ -86,7 +86,7 @@ class Workspace:
     solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
 
     def table(self) -> TextTable:
-        """Return what was found as a table, a row for each solver."""
+        """Return successes, iterations, errors and times as a table, with a row for each solver."""
         rows = []
         for name, one in self.outcomes.items():
             low, high = wilson(one.solved, one.targets)
@@ -97,14 +97,6 @@ class Workspace:
         head = ("solver", "targets", "solved (95 %)", "mean iterations", "time of a target", "largest error left")
         reach = f"reaches {length(self.radius[0])} to {length(self.radius[1])} from the base's origin with {self.tip}"
         return TextTable(self.robot, reach, head, rows, "ik.plot(workspace, robot) draws where targets are missed.")
-
-    def _repr_html_(self) -> str:
-        """Return the table for notebooks."""
-        return self.table().html()
-
-    def __repr__(self) -> str:
-        """Return the table for terminals."""
-        return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain numbers, strings and lists, without the map and the points."""
@@ -119,13 +111,8 @@ class Workspace:
         }
 
 
-class WorkspaceInterrupted(Portable, KeyboardInterrupt):
+class WorkspaceInterrupted(Interrupted):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
-
-    def __init__(self, result: Workspace) -> None:
-        """Keep the result of the finished part."""
-        super().__init__(f"interrupted after {next(iter(result.outcomes.values())).targets} targets")
-        self.result = result
 
 
 def envelope(
@@ -222,7 +209,7 @@ def workspace(
         table.close(finished)
     found = tally.result()
     if interrupted:
-        raise WorkspaceInterrupted(found)
+        raise WorkspaceInterrupted(found, f"after {tally.done} targets")
     return found
 
 
@@ -330,7 +317,7 @@ class _Table:
             self.out.write(lines)
 
     def close(self, whole: bool) -> None:
-        """Give the file its final name, or keep the finished targets as NAME.partial."""
+        """Give the file of targets its final name if all are in it, otherwise the name NAME.partial."""
         if self.out is None:
             return
         if whole:

@@ -22,7 +22,7 @@ def test_what_is_refused(tmp_path, capsys):
     assert "opens without a network" in capsys.readouterr().err
     for words, said in (
         (["--q", "0", "0", "--html", str(tmp_path / "a.html")], "--page goes without --html and --q"),
-        (["--xyz", "1", "0", "0"], "--page goes without --xyz and --target"),
+        (["--xyz", "1", "0", "0"], "--page goes without --xyz"),
         (["--follow"], "--follow goes without --page"),
     ):
         assert main(["view", "planar_2r", "--page", str(tmp_path / "b.html"), *words]) == 2

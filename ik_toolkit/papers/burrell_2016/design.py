@@ -36,7 +36,10 @@ CONFIGURATIONS = 3000  # number of random configurations whose gain margins are 
 
 
 def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) -> None:
-    """Add the section on gains by theory and by search; q0 (n,) [rad]: fixed start; sets: held-out goals (1000, 3) [m]."""
+    """Add the section on solvers designed by theory and by search to the report.
+
+    q0: start (n,) [rad] of all runs. sets: held-out sets of goals (1000, 3) [m].
+    """
     report.heading("Gains by theory, by a particle swarm and by CMA-ES")
     published, kp = StateSpace.preset("burrell-2016"), margin_gain(robot)
     space, budget = all_entries(published), GENERATIONS * PARTICLES
@@ -71,28 +74,28 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
 
 
 def theory(robot: Robot, published: StateSpace, q: np.ndarray) -> StateSpace:
-    """Return the published solver with B designed at a configuration q (n,): equal poles, least moves of the joints."""
+    """Return the published solver with B replaced by the one that gives equal poles and least joint moves at q (n,) [rad]."""
     A, C = np.asarray(published.A), np.radians(np.asarray(published.C))
     g = (1.0 - A[0, 0]) / 4.0
-    # static gain of the design [rad/m], in the axes of the base
+    # static gain [rad/m] that is asked for, in base axes
     S = g * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])
     return published._replace(B=np.linalg.solve(C, (np.eye(len(A)) - A) @ S @ TO_PAPER.T) / 1000.0)
 
 
 def search_theory(robot: Robot, published: StateSpace, q0: np.ndarray, count: int) -> StateSpace:
-    """Return the design that solves the most training goals, of `count` designs at random configurations."""
+    """Return the solver that solves the most training goals, of `count` solvers designed by `theory` at random configurations."""
     designs = [theory(robot, published, q) for q in robot.random_q(np.random.default_rng(90), count)]
     return min(designs, key=_cost(robot, q0))
 
 
 def margin_gain(robot: Robot) -> float:
-    """Return K_p [degrees per mm] from the gain margins of random configurations."""
+    """Return a gain K_p [degrees per mm] of IK-PID below the gain margins of most random configurations."""
     margins = gain_margins(robot, robot.random_q(np.random.default_rng(0), CONFIGURATIONS))
     return float(SAFETY * np.percentile(margins, WEAKEST) / PID_UNITS["mm-deg"])
 
 
 def all_entries(rule: StateSpace) -> Space:
-    """Return the space that is searched: every entry of A, B and C within a margin of its published value."""
+    """Return the parameter space to search: all entries of A, B and C, each within a margin of its published value."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     parameters = (
         Parameter("A", A - 0.5, A + 0.5, A),
@@ -103,7 +106,7 @@ def all_entries(rule: StateSpace) -> Space:
 
 
 def search(robot: Robot, space: Space, q0: np.ndarray, method: type[Swarm] | type[Evolution]) -> StateSpace:
-    """Return the best solver that GENERATIONS of PARTICLES find on the training goals."""
+    """Return the solver that solves the training goals best, of those that `method` tries: PARTICLES in each of GENERATIONS."""
     engine, cost = method(space.start, space.spread, PARTICLES, 90), _cost(robot, q0)
     best, least = space.start, math.inf
     for _ in range(GENERATIONS):

@@ -10,7 +10,7 @@ from ...style import COLOURS
 
 
 def draw_existence(plt: Any, runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Any:
-    """Draw the errors [mm] over sweeps (one update of every joint) for each K_p, and the final error [mm] over gains (k,)."""
+    """Draw the error [mm] over sweeps (a sweep updates every joint once) for each K_p, and the final error [mm] over K_p."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained", sharey=True)
     styles = {0.0848: ("--", 1.6, 3), 0.0847: ("-", 2.6, 2), 0.02: ("-", 1.6, 2)}
     for (kp, error), colour in zip(runs.items(), (COLOURS[1], COLOURS[0], COLOURS[2]), strict=False):
@@ -33,7 +33,7 @@ def draw_existence(plt: Any, runs: dict[float, np.ndarray], gains: np.ndarray, e
 
 
 def draw_response(plt: Any, curves: dict[str, np.ndarray]) -> Any:
-    """Draw the errors [mm] over iterations of each solver in a panel of its own."""
+    """Draw the error [mm] over iterations in a panel for each solver."""
     figure, axes = plt.subplots(len(curves), 1, figsize=(6.0, 5.0), layout="constrained", sharex=True)
     for axis, (name, error), colour in zip(axes, curves.items(), COLOURS, strict=False):
         axis.semilogy(error, color=colour, lw=1.6)
@@ -68,7 +68,10 @@ def draw_workspace(plt: Any, points: np.ndarray, maps: dict[str, np.ndarray]) ->
 
 
 def draw_planar(plt: Any, runs: dict[str, Run]) -> Any:
-    """Draw error and manipulability along the runs; a run that stands still is one marker."""
+    """Draw the position error and the manipulability of the planar arm over the iterations of each run.
+
+    A run in which no joint moves is drawn as a marker.
+    """
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
     still = [name for name, run in runs.items() if run.stands_still]
     moving = {name: run for name, run in runs.items() if not run.stands_still}
@@ -86,7 +89,7 @@ def draw_planar(plt: Any, runs: dict[str, Run]) -> Any:
 
 
 def draw_gains(plt: Any, gains: Sequence[float], swept: dict[str, list[int]]) -> Any:
-    """Draw how many of 1000 goals are reached over K_p, with a line for each start."""
+    """Draw over the gain K_p [degrees per mm] how many of 1000 goals are reached, with a line for each start."""
     figure, axis = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
     for (name, row), colour, mark in zip(swept.items(), COLOURS, "os^", strict=False):
         axis.semilogx(gains, row, "-" + mark, ms=4, lw=1.4, color=colour, label=f"start {name}")
@@ -113,7 +116,10 @@ def draw_reach(plt: Any, reachable: np.ndarray, shapes: dict[str, np.ndarray], t
 
 
 def draw_stability(plt: Any, gains: Any, bound: float, margins: np.ndarray, swept: list[list[float]]) -> Any:
-    """Draw loop gains (N, r) in the complex plane, and gain margins (N,) of IK-PID with runs (K_p, -, solved [%]) beside them."""
+    """Draw loop gains (N, r) in the complex plane, and beside it the share of gain margins (N,) of IK-PID above each K_p.
+
+    bound: upper bound on a real loop gain. swept: for some K_p the row (K_p, share of margins above it [%], goals solved [%]).
+    """
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
     left.plot(gains.real.ravel(), gains.imag.ravel(), ".", ms=2, alpha=0.3, color=COLOURS[0])
     for at in (0.0, bound):

@@ -24,11 +24,15 @@ GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12,
 EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
 # A tuning with this number of successes of 1000, or fewer, is poor: the paper says "say 20 % of reachable points" in section 4.
 POOR = 200.0
-CANDIDATES, MATCHES = 200_000, 40  # random goals for Fig. 4, and the best of them, which are tried at every gain
+# number of random goals tried for Fig. 4, and of the best of them, which are tried at every gain
+CANDIDATES, MATCHES = 200_000, 40
 
 
 def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: Any) -> None:
-    """Add the section on tuning IK-PID to the report; starts (n,) [rad] by name; each seed gives a set of 1000 goals."""
+    """Add the section on tuning IK-PID to the report.
+
+    starts: configurations (n,) [rad] by name. seeds: each gives a set of 1000 goals.
+    """
     report.heading("IK-PID: poorly tuned, and at the edge of the workspace")
     sets = [sample_targets(robot, 1000, k, position_only=True) for k in seeds]
     swept = {
@@ -72,9 +76,9 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Return for each point (N, 3) the smallest of the distances EDGE [m] at which a point around it is out of reach.
+    """Return how far each point (N, 3) [m] is from the edge of the reach: the least distance of EDGE at which a point is out of it.
 
-    If all points around it are in reach, it is twice the largest distance.
+    It is twice the largest of these distances if all points at them are in reach.
     """
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])
@@ -88,7 +92,7 @@ def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
-    """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves like the paper's, from q0 (n,)."""
+    """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] at which runs from q0 (n,) end as they do in the paper."""
     report.heading("Fig. 4: the gain K_p on one goal")
     goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
     miss = {unit: solve(robot, goal * f).position_error for unit, f in (("mm", 1e-3), ("cm", 1e-2))}

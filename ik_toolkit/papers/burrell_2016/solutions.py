@@ -11,7 +11,7 @@ from ..report import Report
 
 
 class Numbers(NamedTuple):
-    """Number of IK solutions of each of N poses."""
+    """How many IK solutions each of N poses has."""
 
     all: np.ndarray  # (N,) number of solutions if joint limits are ignored
     legal: np.ndarray  # (N,) number of solutions within the limits
@@ -19,7 +19,7 @@ class Numbers(NamedTuple):
 
 
 def numbers(robot: Robot, T: np.ndarray) -> Numbers:
-    """Count the solutions of poses T (N, 4, 4)."""
+    """Count the IK solutions of poses T (N, 4, 4) [m] of a robot."""
     form: Any = Elimination()
     p = form.pack(robot)
     box = np.array([robot.lower, robot.upper, robot.home])

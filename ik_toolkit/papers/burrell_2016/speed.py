@@ -20,7 +20,7 @@ SETS = range(7, 14)  # seeds of the sets of 1000 goals
 
 
 class Amount(NamedTuple):
-    """Amount of work that is timed.
+    """How much work is timed.
 
     Attributes:
         runs: number of timed runs with the same goals, which show the spread.
@@ -44,7 +44,7 @@ Times = dict[str, list[np.ndarray]]  # times [s] of all runs for each tolerance,
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
-    """Add the section on Table II to the report; q0 (n,) [rad] is the start of solvers that have none of their own."""
+    """Add the section on Table II, the times of a solve, to the report; q0 (n,) [rad]: start of solvers without one."""
     report.heading("Table II: time per goal")
     damping = 0.1 / robot.chain.scale
     rules: dict[str, tuple[Any, np.ndarray | None]] = {

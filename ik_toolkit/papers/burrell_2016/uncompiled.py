@@ -36,7 +36,7 @@ class PlainPinv(NamedTuple):
 
     def step(self, p, e):
         s = p.desk
-        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # accumulates the matrix JJ'
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the matrix JJ' (3, 3), row by row
         for i in range(s.dq.shape[0]):
             u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
             gram = gram.plus(u, u)
@@ -72,7 +72,7 @@ class Interpreted:
         self.names = (*self.steps, "IK-PID", "state space")
 
     def frames(self, q: np.ndarray) -> list[np.ndarray]:
-        """Return the poses of frames 0 to n at q (n,) [rad]."""
+        """Return the poses (n + 1, 4, 4) of the D-H frames 0 to n in frame 0, at q (n,) [rad]."""
         T = np.eye(4)
         found = [T]
         for (offset, d, a, ca, sa), x in zip(self.joints, q.tolist(), strict=True):

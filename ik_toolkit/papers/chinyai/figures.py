@@ -73,7 +73,7 @@ def target_basins(plt: Any, shares: dict[str, float]) -> Any:
 
 
 def start_basins(plt: Any, target: tuple[float, float]) -> Any:
-    """Draw the outcome for one target from all starting angles."""
+    """Draw to which solution, if any, Newton-Raphson converges for one target from all starting angles."""
     starts, panels = grid(481), {}
     for title, kind in (("plain Newton", PLAIN), ("with step halving", SEARCH), ("Levenberg-Marquardt", LEVENBERG)):
         rows = converge(np.tile(target, (len(starts), 1)), 1.0, 1.0, starts, kind)

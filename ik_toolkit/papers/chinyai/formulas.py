@@ -32,7 +32,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
     """Return angles, number of steps (negative if it did not converge) and final |error| of Newton-Raphson by eqs. (6) to (9).
 
     The step is the full one (PLAIN), halved until the error falls (SEARCH), that of Levenberg-Marquardt (LEVENBERG), or at most
-    LONGEST for each joint (STEP), as `kind` says. After every step the joints are cut to +-clip.
+    LONGEST for each joint (STEP), as `kind` says. After every step the joints are clamped to +-clip [rad].
     """
     damping, k, n1, n2 = 1e-3, 0, t1, t2
     ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x

@@ -13,7 +13,7 @@ from ...servo.orbit_stability import JacobianDerivatives, OrbitState, chained, s
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-ZIGZAGS = ("aa1", "aa2")  # method aa with readings 1, 2 of dJ/dt, which zigzag about the motion without error
+ZIGZAGS = ("aa1", "aa2")  # method aa with dJ/dt read in ways 1 and 2; their runs zigzag about the exact motion
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -150,7 +150,7 @@ def known_run(name: str, gains: GainSet, key: str, start: float = 0.0, **changes
 
 
 def settled(case: Case, made: Run) -> dict[str, float]:
-    """Return four errors of a run, all NaN if it stopped early.
+    """Return four errors [m] that summarise a run, all NaN if the run stopped early.
 
     They are the largest and the RMS error of the second half, the RMS error of the whole run, and the largest error between
     samples of the second half.

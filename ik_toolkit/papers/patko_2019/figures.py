@@ -86,7 +86,7 @@ def _below(ax: Any, runs: Mapping[str, Any]) -> None:
 def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str, Any]]) -> Any:
     """Draw Figs. 5 to 8 with a column for each set of gains: the tip's path in its first lap [s] above, its error below.
 
-    Of the bad set only half a lap is drawn.
+    Of the unstable set only half a lap is drawn.
     """
     figure, axes = plt.subplots(2, 2, figsize=(9.6, 7.2), height_ratios=(1.25, 1.0), layout="constrained")
     for (top, low), (title, runs), shown in zip(axes.T, panels.items(), (0.5 * lap, lap), strict=True):

@@ -21,7 +21,7 @@ def _skeleton(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gallery(plt: Any, robot: Robot) -> Any:
-    """Draw the eight branches of one pose."""
+    """Draw the arm in each of the eight solutions of one pose."""
     q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
     goal = robot.fk(q)
     found = solve_all(robot, goal, Inspection(lift=0.22), q0=q, limits=False)

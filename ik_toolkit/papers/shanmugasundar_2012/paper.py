@@ -44,7 +44,7 @@ def reproduce(poses: int = 2000, seed: int = 0, turns: int = 24) -> Report:
 
 
 def model(report: Report, robot: Robot) -> None:
-    """Add the section on the table of D-H parameters."""
+    """Add the section on the paper's table of D-H parameters to the report."""
     report.heading("The robot")
     rng = np.random.default_rng(0)
     worst = 0.0
@@ -91,7 +91,10 @@ def _target(report: Report, printed: np.ndarray) -> None:
 
 
 def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None:
-    """Add the section on the published angles, for the pose as printed (4, 4) [mm] and as table_pose, whose rotation is exact."""
+    """Add the section on the published angles to the report.
+
+    printed: the pose as printed (4, 4) [mm]. table_pose: the same pose with its rotation made exact.
+    """
     report.heading("Tables 3 and 4: the published angles")
     origin = np.radians([x for i, x in enumerate(paper.ORIGIN) if i != 1])
     exact = paper.printed_fk(origin, paper.D2)
@@ -150,7 +153,7 @@ def _errors(angles: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
 
 
 def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
-    """Add the section that tries the printed formulas on random poses."""
+    """Add the section that tries the printed formulas on random poses to the report."""
     report.heading("The formulas of Fig 4 on random poses")
     rng = np.random.default_rng(seed)
     Q = np.array([robot.random_q(rng) for _ in range(poses)])

@@ -205,7 +205,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))
-        # ends of all windows, and midpoints between them for the choice among equal sequences
+        # candidates are the ends of all windows; the midpoints between them help to choose among equal sequences
         c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
@@ -233,7 +233,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
 
 # ----------------------------------------------------------------------------------------------------------- report
 def weld(report: Report, robot: Robot, count: int) -> None:
-    """Add the section to the report, with `count` turns of the tool about its line of sight.
+    """Add the section on weld inspection to the report, with `count` turns of the tool about its line of sight.
 
     None of them is 90 deg, where joint 3 is at its limit.
     """
@@ -300,14 +300,14 @@ def weld(report: Report, robot: Robot, count: int) -> None:
 
 
 def draw_map(_: Any, found: Any) -> Any:
-    """Draw a map of the workspace."""
+    """Draw the ReachabilityMap of a weld inspection: the share of turns of the tool reached in each cell."""
     from ...show.reach_pictures import plot_map
 
     return plot_map(found)
 
 
 def draw_weld(plt: Any, robot: Robot, canister: Canister, plans: dict[str, WeldPlan]) -> Any:
-    """Draw for each plan the arm at five poses (girth: from above) and its lifts."""
+    """Draw for each WeldPlan the arm at five poses (of a girth weld from above), and the lift [m] over all poses."""
     from ...show.body import joint_frames
 
     figure, axes = plt.subplots(len(plans), 2, figsize=(8.0, 6.4), layout="constrained", width_ratios=(4, 5))

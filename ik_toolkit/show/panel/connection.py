@@ -26,7 +26,7 @@ class Worker:
         threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
 
     def post(self, name: str, job: Callable[[], None]) -> None:
-        """Queue a job under a name."""
+        """Add a job, a function without arguments, to the queue; it replaces a waiting job of the same name."""
         self._jobs[name] = job
         self._names.put(name)
 
@@ -40,7 +40,7 @@ class Worker:
             self._names.task_done()
 
     def idle(self, timeout: float = 30.0) -> bool:
-        """Wait until all jobs are done; return whether they are."""
+        """Wait until all jobs are done, at most `timeout` [s]; return whether they are."""
         with self._names.all_tasks_done:
             return self._names.all_tasks_done.wait_for(lambda: not self._names.unfinished_tasks, timeout)
 
@@ -55,7 +55,7 @@ TOGETHER = 1.0  # [s] changes of one kind within this time are undone together, 
 
 
 class Past:
-    """The states before a visitor's changes: pairs of q (n,) and poses (4, 4) of the targets by tip."""
+    """What a visitor can undo: joint values q (n,) and target poses (4, 4) by tip from before each change."""
 
     def __init__(self) -> None:
         """Start with an empty history."""
@@ -63,7 +63,7 @@ class Past:
         self._last = "", 0.0
 
     def note(self, name: str, q: np.ndarray, targets: dict[str, Any]) -> None:
-        """Store the state before a change of the given kind."""
+        """Store joint values q (n,) and target poses from before a change of kind `name`, unless it continues the last."""
         now = time.monotonic()
         kind, at = self._last
         self._last = name, now
@@ -84,7 +84,7 @@ div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }
 
 
 def empty(folder: Any) -> None:
-    """Remove all controls of a folder."""
+    """Remove all controls of a folder (a viser handle) from the page."""
     for child in list(folder._children.values()):
         child.remove()
 
@@ -171,7 +171,7 @@ class Visit:
         self.worker.post(name, self._guard(noted))
 
     def say(self, text: str, color: str = PLAIN, instead_of: str | None = None) -> None:
-        """Show a sentence in the status line; with `instead_of`, only if the line still has this content."""
+        """Show a sentence in the status line; with `instead_of`, only if that is still the line's content."""
         text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
         if self.status is None or instead_of not in (None, self.status.content):
             return
@@ -189,5 +189,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Build the robot and its controls anew."""
+        """Build the page anew for the session's robot; subclasses do this."""
         raise NotImplementedError

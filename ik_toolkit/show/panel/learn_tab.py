@@ -51,7 +51,7 @@ class Lesson:
         return SCALES[unit_of(self.robot.joint_kinds[i])]
 
     def unit(self, i: int) -> str:
-        """Return the displayed unit of joint i."""
+        """Return the unit in which joint i is displayed, 'deg' or 'mm'."""
         return UNITS[unit_of(self.robot.joint_kinds[i])]
 
     def read(self, values: list[float], shown: list[float]) -> np.ndarray:
@@ -88,7 +88,7 @@ class Lesson:
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
         result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
         self.made = result.explain()
-        # The rotation of the target may have been corrected.
+        # A typed rotation may have been corrected to an orthogonal matrix.
         self.T = self.made.targets[self.robot.tip] if self.posed else T
         self.shown = self.made.chosen or 0
         return result
@@ -119,7 +119,7 @@ class Lesson:
 
 
 def matrix_of(columns: Mapping[str, Any]) -> np.ndarray:
-    """Return the matrix (4, 4) with the columns n, o, a and p."""
+    """Return the homogeneous matrix (4, 4) whose columns are n, o, a and p."""
     return np.vstack([np.column_stack([columns[name] for name in "noap"]), LAST])
 
 
@@ -186,7 +186,7 @@ class Learn:
 
     # ---------------------------------------------------------------------------------------------------------- actions
     def show(self, q: np.ndarray) -> None:
-        """Update joint values, matrix and D-H table to q (n,)."""
+        """Show the joint values q (n,), and the pose matrix and D-H table for them."""
         if not self.alone:
             return
         lesson = self.lesson
@@ -262,7 +262,7 @@ class Learn:
         self._write()
 
     def pick(self, k: int) -> None:
-        """Show branch k: its configuration and its formulas."""
+        """Show solution number k of a closed form: move the arm there, and show its formulas."""
         lesson = self.lesson
         if k >= len(lesson.branches):
             return

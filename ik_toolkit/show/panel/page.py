@@ -146,7 +146,7 @@ class PanelPage(Visit):
             self._button("Load", "build", lambda: self._switch(path.value))
 
     def show(self) -> None:
-        """Update view, sliders and numbers to the session's q."""
+        """Show the session's joint values in the view, the sliders and the numbers."""
         s = self.session
         with self.client.atomic():
             self.stage.show(s.q)

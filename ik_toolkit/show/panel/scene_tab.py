@@ -17,7 +17,7 @@ NEAR = 0.25  # Distances below this fraction of the robot's size are drawn.
 
 
 class Around:
-    """Controls and drawings of a robot's surroundings."""
+    """The controls of boxes, contacts and velocity ellipsoids around a robot, and what is drawn for them."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls on a visitor's page, and draw the session's boxes."""
@@ -55,7 +55,7 @@ class Around:
         self.changed()
 
     def clear(self) -> None:
-        """Remove all boxes."""
+        """Remove all boxes from the session and the page."""
         for gizmo in self.handles.values():
             gizmo.remove()
         self.handles.clear()

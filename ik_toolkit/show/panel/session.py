@@ -94,7 +94,7 @@ class Session:
         return math.degrees(1.0) if self.degrees and self.robot.joint_kinds[i] != "prismatic" else 1.0
 
     def unit(self, i: int) -> str:
-        """Return the displayed unit of joint i."""
+        """Return the unit in which joint i is displayed: 'deg', 'rad' or a length."""
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
     def digits(self, i: int) -> int:
@@ -170,7 +170,7 @@ class Session:
         return pose(place, rpy=[math.radians(a) if self.degrees else a for a in angles])
 
     def words(self, T: np.ndarray, kind: str) -> tuple[str, str]:
-        """Write a pose's position and rotation as texts that `typed` reads."""
+        """Write position and rotation of a pose as texts for the fields that `typed` reads."""
         at = T if T.ndim == 1 else T[:3, 3]
         xyz = "  ".join(_figure(x) for x in at)
         if T.ndim == 1 or kind == "free":

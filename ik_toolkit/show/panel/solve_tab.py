@@ -29,11 +29,11 @@ class Goal:
 
     @property
     def posed(self) -> bool:
-        """Whether the target has an orientation."""
+        """Whether the target has an orientation, and not only a position."""
         return self.kind not in ("free", NONE)
 
     def give(self, kind: str) -> None:
-        """Change the form in which the orientation is typed."""
+        """Change how the orientation is typed: `kind` is one of KINDS ('matrix', 'free', ...), or NONE for no target."""
         self.kind = kind
         self.xyz.visible, self.rotation.visible = self._placed, self.posed
         self.rotation.multiline = kind == "matrix"
@@ -74,7 +74,7 @@ class Goal:
         return T if self.posed else T[:3, 3]
 
     def put(self, T: np.ndarray) -> None:
-        """Set arrows and fields to a pose (4, 4) [m]."""
+        """Show a pose (4, 4) [m] of the target in the fields, and move its handle there."""
         self.handle.put(T)
         self._write(T)
 
@@ -99,7 +99,7 @@ CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()=
 
 
 class SolutionsTab:
-    """The solutions found, with their controls."""
+    """The list of solutions of `solve_all` on a visitor's page, with controls to show one and to move there."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls on a visitor's page, hidden until there are solutions."""
@@ -122,7 +122,7 @@ class SolutionsTab:
             self.ghost(self.session.solutions[self.chosen])
 
     def hide(self) -> None:
-        """Hide the list."""
+        """Hide the list of solutions."""
         self.folder.visible = False
         self.ghost(None)
 

@@ -16,7 +16,7 @@ from .session import KINDS, Session
 
 
 def as_sentence(text: str) -> str:
-    """Return a text with a capital letter and a full stop."""
+    """Return a text beginning with a capital letter and ending with a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
@@ -63,7 +63,7 @@ class Recorder:
         self.say(f"{how_many(count, 'posture')} recorded")
 
     def forget(self) -> None:
-        """Begin a new motion."""
+        """Remove all recorded configurations, to begin a new motion."""
         self.session.recorded.clear()
         self.say("the record is empty")
 
@@ -80,7 +80,7 @@ class Recorder:
             return found.message, {file.name: file.read_bytes() for file in written}
 
     def save(self) -> None:
-        """Show links to the files of the motion."""
+        """Offer the recorded motion on the page as links to its files."""
         message, files = self.files()
         kinds = {".csv": ("text/csv", "CSV"), ".json": ("application/json", "JSON of a ROS JointTrajectory")}
         links = []

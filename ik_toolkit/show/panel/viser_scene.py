@@ -96,7 +96,7 @@ class Handle:
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Show or hide the rings, and the whole handle."""
+        """Show the rings of the handle if `rotations`, and the handle at all if `visible`."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible
@@ -155,7 +155,7 @@ class Stage:
         self.aim(q)
 
     def path(self, name: str) -> str:
-        """Return a name for an object in the page, different from the names in earlier drawings."""
+        """Return the path under which viser draws an object; it is new for each Stage, whose `number` it contains."""
         return f"/{self.number}/{name}"
 
     def _drawn(self, copy: str, part: BodyPart, **look: Any) -> Any:
@@ -170,7 +170,7 @@ class Stage:
         return handle
 
     def show(self, q: np.ndarray) -> None:
-        """Place everything except the target for joint values q (n,)."""
+        """Draw robot, tips and axes at joint values q (n,); targets stay."""
         body = self.body
         self.poses = body.placements(q)
         self._place_parts(self.parts, self.poses)
