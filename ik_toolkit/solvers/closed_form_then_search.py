@@ -11,10 +11,8 @@ from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
 
-STARTS, STEPS = (
-    64,
-    24,
-)  # `into_tolerances` starts from STARTS random configurations and makes at most STEPS Newton steps from each.
+# `into_tolerances` starts from STARTS random configurations and makes at most STEPS Newton steps from each.
+STARTS, STEPS = 64, 24
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
