@@ -1,4 +1,4 @@
-"""Runs the search if a closed form has no answer: it may find one; otherwise the best configuration is returned."""
+"""Combines a closed form with the iterative search, which runs for the targets that the closed form leaves unsolved."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,29 +11,34 @@ from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
 
-STARTS, STEPS = 64, 24  # number of starts, and of steps from each, in `into_tolerances`, the last search
+# `into_tolerances` starts from STARTS random configurations and makes at most STEPS Newton steps from each.
+STARTS, STEPS = 64, 24
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, length: float) -> np.ndarray:
-    """Return the squared error (N,) of result rows (N, SIZE.answer + n); a position error of `length` [m] counts as 1 rad."""
+    """Return, for result rows (N, width), the squared errors (N,) by which failures are compared.
+
+    rows: each a `kernel.records.Answer`, then q; length: position error [m] that counts as much as a rotation error of 1 rad.
+    """
     return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
-    """Return a solve function, called like that of `kernel.search.entry`: a closed form, then a search where it fails.
+    """Return a compiled-style solve function that takes a closed form, then searches iteratively for targets it has not solved.
 
-    plan: the closed form bound to a robot; closed: its solve function, see `protocol.ClosedForm.loop`. The search has the same
-    options and holds the joints that the closed form holds. It begins as usual; for targets that are still unsolved it begins once
-    more where the closed form ended. A row that stays unsolved keeps the closed form's status, except STALLED, which proves nothing
-    and is replaced by the status of the search. Its q is the best configuration found.
+    plan: the closed form bound to a robot; closed: its own solve function (`protocol.ClosedForm.loop`). The returned function
+    takes the arguments of `kernel.search.entry`. The search has the plan's options, and keeps a joint that the closed form fixes
+    at the same value. It begins at the start of the call and, for targets that are still unsolved, once more where the closed form
+    ended. A target that stays unsolved keeps the status of the closed form, except STALLED, which proves nothing and is replaced
+    by the status of the search. Its q is the best configuration found by either.
     """
     robot = plan.robot
     silent = np.empty((0, SIZE.past + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """Return the search, the same search with one attempt, and the joint values that both hold.
+        """Return the Plan of the search, the same with one attempt, and the values {index in q: value} of joints that both fix.
 
         They are made when first needed.
         """
@@ -51,7 +56,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain
-        if len(flat) == plan.width:  # a call for one target without history must be fast
+        if len(flat) == plan.width:  # one target without history: the array is its result row
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
@@ -71,7 +76,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         ended = np.array(out[failed, SIZE.answer :])
         kinds = (int(opt[SIZE.orders]),)
         # With one target the closed form has written one row of history; with more targets there is no history.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without q0 the start is home
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # the start is home if the caller gave none
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -86,10 +91,12 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 def into_tolerances(
     plan: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
 ) -> None:
-    """Search once more with errors counted in units of their tolerances, and write a solution to the result row `row`.
+    """Search for a configuration that meets both tolerances of T (4, 4), and write it to the result row `row` if there is one.
 
-    If one tolerance is loose, a configuration may meet both although its error in the usual units is not the least. The
-    search begins at the best configuration found, and at STARTS random ones.
+    Each error counts in units of its tolerance: if one tolerance is loose, a configuration may meet both although the sum of its
+    errors in metres and radians is not the least. The search begins at the q of `row` and at random configurations. plan: the
+    closed form's Plan; rows, ends: arrays of the chain; opt: option array (`records.Orders`); fixed: index of a joint that keeps
+    its value, or -1.
     """
     from .closed_form.polish import first_good
 
@@ -121,10 +128,16 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search for the targets T (M, 4, 4), whose rows in out (N, SIZE.answer + n) are `failed` (M,), from start (1 or M, n).
+    """Search for M targets and merge what is found into their result rows; return for each (M,) whether it stays unsolved.
 
-    `how` has the kinds of target, and whether the starts are given (see Plan.run). If evaluations are limited, each
-    search gets those that its row has left. Returns whether each row (M,) stays unsolved.
+    Args:
+        search: Plan of the search.
+        T: (M, 4, 4) targets [m].
+        start: (1 or M, n) configurations to begin at.
+        how: the kinds of target, and whether the caller gave the starts (see `Plan.run`).
+        failed: (M,) the index of each target's row in `out`.
+        out: (N, width) result rows of the closed form. With a limit on evaluations, a search gets what its row has left.
+        hist: rows for the history of a single target, or none.
     """
     budget, still = search.options.budget, np.ones(len(failed), dtype=bool)
     every = np.arange(len(failed))
@@ -152,7 +165,11 @@ def continue_with(
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float) -> None:
-    """Write what the search found into the rows `failed` of out (N, SIZE.answer + n), a row for each, see `with_search`."""
+    """Merge result rows of the search (M, width) into the rows `failed` (M,) of `out` (N, width), changed in place.
+
+    q and errors are taken from whichever has the smaller error (see `error_size`; length [m]), the status as `with_search` says;
+    the counts are added.
+    """
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
     solved = found[:, AT.status] == CODE.converged

@@ -14,7 +14,7 @@ from .options import AVOID, PLAIN, avoided
 from .status import Status
 
 STARTS = 256  # Number of random starts that are tried before giving up, unless restarts= says otherwise.
-ROUND = 16  # Number of starts in one call of the compiled search.
+ROUND = 16  # Number of starts that are solved in one call of the compiled search.
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 

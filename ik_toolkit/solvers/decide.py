@@ -26,7 +26,8 @@ from .registry import GENERAL, find_row
 from .status import DECIDED, NEAREST
 from .task import POSES
 
-OPEN = (CODE.stalled, CODE.iteration_limit, CODE.limit_blocked, CODE.singular)  # statuses that prove nothing
+# statuses of the search that prove nothing about the target
+OPEN = (CODE.stalled, CODE.iteration_limit, CODE.limit_blocked, CODE.singular)
 # Options that the decision by elimination respects; with any other option the search continues without it.
 HONOURED = {
     "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest", "objective",
@@ -34,21 +35,27 @@ HONOURED = {
 
 
 class DecisionMargins(NamedTuple):
-    """Margins that a certificate must keep, because a search may stop anywhere within its tolerances e [over the arm's size]."""
+    """Margins for concluding from the elimination's list of exact solutions that a target has none within the tolerances.
 
-    attempts: int = 3  # attempts of the search before the elimination; they solve most targets, in a tenth of the time
-    near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
-    # If two complex solutions are at most this many sqrt(e) from being real, a real pose between them may be within e of the
-    # target.
+    The list says nothing about poses that miss the target by less than the tolerances, so a solution just out of reach or just
+    beyond a limit decides nothing. Below, e is the larger tolerance [rad, or length over the arm's size].
+    """
+
+    # number of attempts of the search that runs first: they solve most targets, ten times as fast as the elimination
+    attempts: int = 3
+    near: float = 0.1  # [rad] a solution that breaks a limit by less is moved onto it and corrected by Newton steps
+    # Two complex solutions that are at most gap * sqrt(e) from being real may hide a real pose within e of the target.
     gap: float = 30.0
-    same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
-    # If a solution is d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor.
+    # [rad] an answer that is at most this much farther from q0 than the nearest solution in the list counts as that one
+    same: float = 1e-6
+    # Where a solution breaks a limit by d, configurations inside that limit miss the target by at least about d times a measured
+    # factor (`EliminationAnswer.gain`). That product must exceed e by this factor.
     gain: float = 10.0
-    # A pose whose errors are both below this many tolerances decides nothing: another one nearby, with one error larger and
-    # the other smaller, may be inside both. This happened at one of 72,000 targets.
+    # A configuration whose errors are both below this many tolerances decides nothing, because one nearby, with one error larger
+    # and the other smaller, may be inside both. This happened at one of 72,000 targets.
     beside: float = 3.0
-    # With looser tolerances nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose had no
-    # solution.
+    # With a tolerance above this nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose
+    # had no solution.
     loosest: float = 5e-4  # [rad, or lengths over the reach]
 
 
@@ -65,7 +72,7 @@ class Blocked(NamedTuple):
 
 
 class ListedSolutions(NamedTuple):
-    """All solutions of a target that the elimination lists."""
+    """All solutions of one target as the elimination lists them, including those that break a joint limit."""
 
     q: np.ndarray  # (K, n) [rad], shifted by 2 pi k into the limits, nearest the start
     excess: np.ndarray  # (K, n) by how much each joint breaks its limits [rad]
@@ -73,7 +80,7 @@ class ListedSolutions(NamedTuple):
 
 
 def elimination_plan(plan: Plan) -> Plan | None:
-    """Return the elimination with the options of a search's plan, or None if it cannot do what is asked."""
+    """Return a Plan that solves by elimination with the options of `plan`, or None if the robot or an option rules that out."""
     robot = plan.robot
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
@@ -129,9 +136,10 @@ def _take(made, row):
 def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
     """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED or NEAREST.
 
-    A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
-    solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
-    Other targets stay undecided and their rows unchanged. Returns whether the whole search is to continue for some target.
+    A target is solved by a solution within the limits, or by one near them that Newton steps move onto them. A target has no
+    solution if its list is certified, none of the listed solutions is near a limit or nearly real, and no pose beyond the limits
+    is within the tolerances. Other targets stay undecided and their rows unchanged. Returns whether the whole search is to
+    continue for some target.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -141,9 +149,10 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
         orders: (2, .) option arrays (`records.Orders`) of the elimination, with limits and without.
-        terms: (6,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as
-            one radian where failures are compared; `same` if the solution nearest the start is asked for, or 0; and the errors [m],
-            [rad] below which a pose decides nothing.
+        terms: (6,) numbers of `DecisionMargins` with the tolerances put in: `near` [rad]; the least (limit excess times gain) that
+            counts as certain; the length [m] that counts as one radian where failures are compared; `same` [rad] if the solution
+            nearest the start is asked for, or 0; the position error [m] and rotation error [rad] below which a pose decides
+            nothing.
         out: (M, width) results of the short search.
     """
     edge, clear, length, same = terms[0], terms[1], terms[2], terms[3]
@@ -187,8 +196,9 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             if _beside(made, terms):
-                continue  # false alarm: a pose beyond the limits is within the tolerances, or nearly so
-        if count > 0:  # these solutions were moved onto their limits
+                continue  # A pose beyond the limits is within the tolerances, or nearly so, which decides nothing.
+        # Q has the solutions moved onto the limits they break; the best may be nearer to the target than the search came.
+        if count > 0:
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             now = (row[AT.position] / length) ** 2 + row[AT.rotation] ** 2
@@ -203,7 +213,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first arguments of `binding.answers`: the orderings of the loop, and the array (52,) that describes the arm."""
+    """Return the arm as `binding.answers` takes it: the orderings of its loop of joints (`forms_of`), and its geometry (52,)."""
     p = exact.orders(POSES, True)[SIZE.weights + N :].copy()
     return forms_of(p.tobytes()), p
 
@@ -223,12 +233,12 @@ class Deciding(Plan):
 
     @functools.cached_property
     def exact(self) -> Plan:
-        """The plan of the elimination, with the same options."""
+        """The plan that solves by elimination, with the same options."""
         return elimination_plan(self)  # pyright: ignore[reportReturnType]
 
     @functools.cached_property
     def exact_free(self) -> Plan:
-        """The plan of the elimination without joint limits."""
+        """The plan that solves by elimination without joint limits."""
         return self.exact.varied(limits=False)
 
     @functools.cached_property
@@ -246,14 +256,20 @@ class Deciding(Plan):
         return Deciding(*deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Return the result row (width,) of one target T (1, 4, 4)."""
+        """Solve one target T (1, 4, 4) from start (1, n); return its result row (width,).
+
+        kinds: the kind of target; given: whether the caller gave the start.
+        """
         row = self.first.solve(T, kinds, start, given)
         if row[AT.status] in self.open:
             self._decide(T, kinds, start, given, row[None])
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Let the elimination decide on those targets T (N, 4, 4) that the short search left unsolved in `out` (N, width)."""
+        """Let the elimination decide, in place, the result rows `out` (N, width) that the short search left unsolved.
+
+        T (N, 4, 4): the targets; kinds, start, given: as for `Plan.run`.
+        """
         (left,) = np.nonzero((out[:, AT.status, None] == self.open).any(axis=1))
         if len(left):
             made, starts = out[left], np.repeat(start, len(out) // len(start), axis=0)[left]
@@ -303,7 +319,7 @@ class Deciding(Plan):
         return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
     def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
-        """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
+        """Return all solutions of T (4, 4), within the limits or not, each angle shifted by 2 pi k to be nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[SIZE.weights + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)

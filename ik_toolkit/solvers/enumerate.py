@@ -32,8 +32,9 @@ class SearchThresholds(NamedTuple):
     same: float = 1e-3
     # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
-    flat: float = 1e-4  # directions with a smaller singular value of the Jacobian may lead along a self-motion
-    stride: float = 0.02  # step along such a direction, too long for the search to return to an isolated solution
+    flat: float = 1e-4  # a direction whose singular value of the Jacobian is smaller may lead along a self-motion
+    # length of a trial step along such a direction, long enough that a search from there comes back to an isolated solution
+    stride: float = 0.02
     directions: int = 256  # number of directions tried for self-motions, enough to find all joints that move
 
 
@@ -45,7 +46,8 @@ def search_solutions(
 ) -> Solutions:
     """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first.
 
-    The starts are Q0 (K, n), or `start` and random ones, `starts` in all.
+    The starts are Q0 (K, n) or, if that is None, `start` and random ones, `starts` in all. T (1, 4, 4), or (1, F, 4, 4) for
+    several tips: the target; kinds: its kinds; count: largest number of solutions returned if there are infinitely many.
     """
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
@@ -157,7 +159,7 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple) -> tu
 
 
 def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
-    """Return the solutions without rows that repeat an earlier one."""
+    """Return the solutions without those that equal an earlier one to within `SearchThresholds.same`, angles modulo 2 pi."""
     turning, _ = turning_joints(plan)
     unit = found.robot.chain.unit
     kept: list[int] = []

@@ -193,9 +193,10 @@ def _said(position: float, turned: float | None, unit: bool) -> str:
 
 
 def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
-    """Return the counted errors of each tip without the weights of the mask, and whether they are in [m] and [rad].
+    """Return each tip's position and orientation error without the weights of the mask, and whether these are in [m] and [rad].
 
-    For a solved row of a batch, which keeps no target, weights other than 0 and 1 cannot be removed, so its errors keep them.
+    In a solved row of a batch, which keeps no target, weights other than 0 and 1 cannot be removed: the errors are returned with
+    them.
     """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
@@ -284,7 +285,7 @@ def _failure(result: Any, left: str, tried: str) -> str:
 
 
 def impossible(result: Any) -> list[str]:
-    """Return sentences on the part of each tip's target that no joint values can meet."""
+    """Return a sentence for each part of a tip's target that no joint values can meet."""
     of = result._of
     if not of.T.size:  # a solved row of a batch keeps no target
         return []
@@ -324,7 +325,7 @@ def too_few_joints(result: Any) -> str:
     of, texts = result._of, []
     rows = counted_rows(result.robot, of.kinds, of.plan.options).reshape(-1, 2, 3).sum(axis=2)
     for arm, (lengths, angles) in zip(result.robot.arms, rows.tolist(), strict=True):
-        # Components that never change use up no joint: either they are met, or `impossible` names them.
+        # An error component that no joint changes needs no joint: either it is zero, or `impossible` names it.
         still = {0: 3, 1: 2, 3: 0}.get(arm.mobility.turns, 0)
         fixed = max(0, lengths - len(arm.mobility.normals)) + max(0, angles - still)
         able = arm.mobility.directions

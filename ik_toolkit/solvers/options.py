@@ -12,7 +12,7 @@ from ..errors import InvalidOption, doubt_angles, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 from ..robot.pose import named_axis
 
-# The options in PLAIN choose or finish one answer; solves that look for further answers reset them to these values.
+# With these values a solve neither chooses among answers nor improves one. Solves that look for several answers are made with them.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
@@ -97,7 +97,7 @@ class Options:
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of the first run of the compiled search; with a timeout, longer runs follow."""
+        """Largest number of FK evaluations of the first run of the search, or None; with a timeout, longer runs follow."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
@@ -182,7 +182,7 @@ def avoided(value: Any) -> bool | float | CollisionModel:
 
 
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
-    """Validate keyword options; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
+    """Return Options of validated keyword arguments; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 
     `parameters` are the solver's own parameter names, which may be suggested for a misspelt name.
     """
@@ -200,7 +200,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             known = (*parameters, "tolerance", *NAMES)
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, known)}{solvers_with(name, known)}")
         if name in ("position_tolerance", "orientation_tolerance"):
-            values[name] = _number(name, value, 1e-14, math.inf)  # rounding hides less
+            values[name] = _number(name, value, 1e-14, math.inf)  # a smaller error is below rounding
             if name == "orientation_tolerance" and values[name] >= math.pi:
                 doubt_angles(name, {"": values[name]})
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
@@ -256,7 +256,10 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
 
 
 def counting(name: str, value: Any) -> Any:
-    """Validate one value of mask, slack, free_turn or frame; a mask of ones and a slack of zeros are None. Raises InvalidOption."""
+    """Return a valid value of the option `name` (mask, slack, free_turn or frame) as Options keeps it. Raises InvalidOption.
+
+    A mask of ones and a slack of zeros, which change nothing, become None.
+    """
     if name == "frame":
         if not (isinstance(value, str) and value in FRAMES):
             raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")

@@ -26,8 +26,9 @@ from .registry import GENERAL, find_row, search_for
 from .rows import Row
 from .task import group_levels, kernel_tasks, relatives, what_counts
 
-MARGIN = 1.0 - 1e-9  # share of a tolerance that the compiled search uses, so that rounding in Pinocchio cannot disagree
-# A plan caches arrays for this many kinds of target; each axis about which a target is free is a kind of its own.
+# The compiled search works with this share of each tolerance, so that Pinocchio does not reject an answer for rounding.
+MARGIN = 1.0 - 1e-9
+# A plan caches arrays for this many kinds of target. Each axis about which a target may turn makes another kind.
 KINDS_KEPT = 64
 CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
@@ -127,21 +128,22 @@ class Plan:
         return self
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Change, in place, the result rows (N, width) of targets T that the plan `first` left unsolved.
+        """Solve in another way, in place, the result rows `out` (N, width) of targets that the plan `first` has left unsolved.
 
-        This class changes none.
+        Arguments as for `run`. This class has no other way and changes nothing.
         """
 
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Solve N targets T (N, 4, 4), for several tips (N, F, 4, 4), of the same kinds; write the rows of `out` (N, width).
+        """Solve N targets T (N, 4, 4), for several tips (N, F, 4, 4), and write their result rows to `out` (N, width).
 
-        start (1 or N, n); given: whether it comes from the caller.
+        kinds: the kind of target of each tip, the same for all N; start (1 or N, n): configurations to begin at; given: whether
+        they come from the caller.
         """
         chain, orders = self.ready(kinds, start, given)
         self.kernel(chain, T, start, out.reshape(-1), orders)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Return the result row (width,) of one target T (1, ...)."""
+        """Solve one target and return its result row (width,); arguments as for `run`, with N = 1."""
         chain, orders = self._ready.get((kinds, given)) or self.ready(kinds, start, given)
         row = np.empty(self.width)
         self.kernel(chain, T, start, row, orders)
@@ -150,7 +152,10 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the result row (width,) of one target T (1, ...) and its history, at most `count` rows of SIZE.past + n."""
+        """Solve one target T (1, ...) from start (1, n); return its result row (width,) and its history.
+
+        ready: what the method `ready` returns; count: largest number of history rows, each of SIZE.past + n numbers.
+        """
         chain, orders = ready
         out = np.empty(self.width + count * (SIZE.past + self.robot.n))
         self.kernel(chain, T, start, out, orders)
@@ -159,7 +164,10 @@ class Plan:
 
     # --------------------------------------------------------------------------------------------------------- preparing
     def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return the arguments of the compiled search: all arrays of the chain packed in one, and the options (Orders)."""
+        """Return the arguments of the compiled search: the chain's arrays packed in one, and the option array (`records.Orders`).
+
+        kinds, start, given: as for `run`.
+        """
         found = self._ready.get((kinds, given))
         if found is None:
             arrays, last = self.arrays(kinds, start), self._joined
@@ -182,9 +190,9 @@ class Plan:
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, seeds and features.
+        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, table of starts, and their features.
 
-        In every start of `seeds` the held joints have the values of the first row of `start`.
+        In every start of the table, joints with weight 0 have the values of the first row of `start`.
         """
         found = self._table(kinds[0] == KIND.position)
         if self._plain:
@@ -208,7 +216,10 @@ class Plan:
         return found
 
     def orders(self, kinds: tuple, given: bool) -> np.ndarray:
-        """Return the option array (Orders) for kinds of target, with or without a start from the caller. Raises InvalidOption."""
+        """Return the option array (`records.Orders`, then what the rule needs) for targets of these kinds. Raises InvalidOption.
+
+        given: whether the start comes from the caller.
+        """
         packed = self._packed.get((kinds, given))
         if packed is None:
             if len(self._packed) >= KINDS_KEPT:
@@ -308,12 +319,15 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
     ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
     ends[..., POINTS + 4 * n + held] = at
-    ends[..., POINTS + 5 * n + held] = 0.0  # The range of random starts gets the width 0 at these joints.
+    ends[..., POINTS + 5 * n + held] = 0.0  # Random starts then have no spread in these joints.
     return with_seeds(rows, ends, seeds)
 
 
 def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
-    """Return the arrays of a chain or tree with another table of starts (N, n) [rad, or length over the reach]."""
+    """Return the arrays of a chain or tree (rows, ends, starts, features of the starts) with another table of starts.
+
+    rows, ends: as the chain has them; seeds (N, n): the new starts [rad, or length over the reach].
+    """
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
     parts = zip(split_rows(rows, ends, seeds.shape[1]), ends, strict=True)

@@ -29,7 +29,7 @@ class Limits(NamedTuple):
     """Limits on the work done after a search to improve its answer or explain its failure."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
-    # number of random configurations from which the error is minimised after a failure if a length_scale is given
+    # After a failure with a length_scale given, the error is also minimised from this many random configurations.
     begins: int = 20
     # Each run of a timed search is this many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
@@ -74,7 +74,10 @@ def finish_failures(
     rows: np.ndarray,
     ended: tuple[int, ...] = ENDED,
 ) -> None:
-    """Finish, in place, those of the result rows (m, width) of targets T whose status is one of `ended` (see `_finish`)."""
+    """Finish, in place, those result rows (m, width) of failed searches whose status is one of `ended` (see `_finish`).
+
+    T (m, 4, 4), for several tips (m, F, 4, 4): targets; kinds, start (1 or m, n), given: as for `Plan.run`.
+    """
     these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
     if len(these):
         start, made = np.repeat(start, len(rows) // len(start), axis=0)[these], rows[these]
@@ -179,7 +182,7 @@ def record(outcome: Any) -> Any:
 
 
 def improve(outcome: Any) -> Any:
-    """Improve the objective of a solution by motion in the null space; the row gets the better q and its evaluated errors."""
+    """Improve a solution's `objective` (an option) by motion in the null space; its row gets the better q and the errors there."""
     from ..kernel.null_space import OBJECTIVE, refine
 
     plan, row = outcome.plan, outcome.row
@@ -235,7 +238,10 @@ def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
 
 
 def inside(errors: Any, plan: Any) -> bool:
-    """Return whether the errors of every tip are inside their tolerances; with a priority only those of the first level."""
+    """Return whether every tip's errors are within the tolerances of a plan's options; with a priority, those of the first level.
+
+    errors: for each tip the position error [m] and the rotation error [rad, None if free].
+    """
     p, r = plan.options.position_tolerance, plan.options.orientation_tolerance
     if plan.options.priority is None:
         return all(position <= p and (angle or 0.0) <= r for position, angle in errors)

@@ -26,11 +26,11 @@ def list_presets(solver: str) -> list[str]:
 
 
 def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
-    """Read a shipped preset, or a file if the name ends in .toml, which may be of any solver if `solver` is "auto".
+    """Return the content of a preset file: a shipped preset of the solver or, if the name ends in .toml, that file.
 
-    Raises InvalidOption.
+    A file may be of any solver if `solver` is "auto". Raises InvalidOption.
     """
-    name = str(name)  # a pathlib.Path is accepted as well as a text
+    name = str(name)  # the name may be a pathlib.Path
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:
@@ -66,7 +66,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
     """Make a solver of a registry row from a preset, with some parameters (`values`) changed. Raises InvalidOption."""
     cls = row.load()
-    made = make_rule(row, values or {})  # This raises for a parameter that does not exist, and names it.
+    made = make_rule(row, values or {})  # raises InvalidOption for a parameter that does not exist
     if cls.preset is None:
         return made._replace(**{**load_preset(row.name, name, cls._fields)[0], **(values or {})})
     return cls.preset(name)._replace(**(values or {}))
@@ -85,7 +85,10 @@ def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
 def write_preset(
     path: Path, solver: str, parameters: dict[str, Any], options: dict[str, Any], about: dict[str, Any]
 ) -> None:
-    """Write a preset file for `--preset FILE` and `preset(FILE)`; numbers are written without loss."""
+    """Write the parameters and options of a solver to a preset file, for `--preset FILE` and `preset(FILE)`.
+
+    about: further entries at its top, such as the robot; numbers are written without loss.
+    """
     lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
     for title, table in (("parameters", parameters), ("options", options)):
         lines += ["", f"[{title}]", *(f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)]

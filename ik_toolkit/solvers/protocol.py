@@ -110,14 +110,14 @@ class Rule(Protocol):
 
 
 class ClosedForm(Protocol):
-    """All branches (solutions) of one target at once, for the structures that the closed form recognises."""
+    """A solver that computes all solutions (branches) of a target without iterating, for arms whose geometry it recognises."""
 
     wrap = True
     hold = False
 
     @staticmethod
     def recognise(chain: Any) -> Fit:
-        """Return whether a chain has the structure, with what deviation, and the parameters of the closed form."""
+        """Return whether, and how exactly, the geometry of a chain suits this closed form, and the parameters it then needs."""
         ...
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
@@ -242,7 +242,7 @@ def misfit(row: Row, solver: Any, robot: Any) -> str:
 
 
 def fitted(form: Any, robot: Any) -> Fit:
-    """Return how a robot fits a closed form. Raises UnknownSolver, with the reason, if the robot does not fit."""
+    """Return the Fit of a closed form to a robot. Raises UnknownSolver, with the reason, if the robot does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)
     return form.recognise(robot.chain)
@@ -272,7 +272,10 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 
 
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
-    """Return the parameters of the compiled step as an array. Raises InvalidOption if one is missing or not finite."""
+    """Return the numbers of the rule (`pack`) as an array (K,), for the compiled step.
+
+    Raises InvalidOption if one is missing or not finite.
+    """
     try:
         numbers = np.asarray(solver.pack(asked.robot, asked), dtype=float)
     except IKError:

@@ -37,7 +37,7 @@ BY_LEVELS = next(row.name for row in ROWS if row.levels)
 
 
 def search_for(priority: Any) -> str:
-    """Return the name of the general search for a value of the option `priority`."""
+    """Return the name of the default search, which depends on whether the option `priority` is given."""
     return GENERAL if priority is None else BY_LEVELS
 
 
@@ -87,7 +87,7 @@ def _row(point: Any) -> Row:
         raise InvalidOption("ik_toolkit already has a solver of that name")
     if row.target.count(":") != 1:
         raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
-    # 'auto' is for solvers of this package, because installing another one must not change answers.
+    # 'auto' takes only solvers of this package, because installing another package must not change answers.
     return replace(row, joints=())
 
 

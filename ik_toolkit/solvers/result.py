@@ -253,7 +253,7 @@ class Result(ReadOnly):
 
     @property
     def history(self) -> dict[str, np.ndarray] | None:
-        """Errors and q of every iteration, if `history=True` was asked for."""
+        """Arrays `q`, `position_error`, `orientation_error`, `attempt` of every iteration if history=True was given, else None."""
         return self._of.history
 
     @property
@@ -324,7 +324,8 @@ class Result(ReadOnly):
     def to_dict(self) -> dict[str, Any]:
         """Return numbers, strings and lists, ready for JSON.
 
-        For several tips the errors by tip under `tips`, None at a free one.
+        For several tips, the entry `tips` has the errors of each tip by its name; an error is None where the target leaves it
+        free.
         """
         at = joint_values(self.robot, self.q)
         plain = {
@@ -372,5 +373,5 @@ class Result(ReadOnly):
         return TextTable(self.status.name, self.message, (), rows, color=color, most=100).html()
 
 
-# This setter bypasses the guard of the read-only object; it is 0.25 us faster than object.__setattr__.
+# This setter writes to a Result although it is read-only, 0.25 us faster than object.__setattr__.
 keep = vars(Result)["_of"].__set__

@@ -11,9 +11,10 @@ from ..errors import IKError, UnknownSolver
 class Length(NamedTuple):
     """Default limits on the length of a search.
 
-    `give_up` is (C, rho, C_free, rho_free) or None. With it, an attempt ends in iteration k if |e|^2 > C rho^k, where the first
-    pair is for precomputed starts, the second for q0 and random starts. Attempts from random starts have twice the iterations and
-    are given up later from attempt number `patience` on (the attempt from q0 is not counted).
+    `give_up` is (C, rho, C_free, rho_free) or None: an attempt is given up at iteration k if the squared error |e|^2, lengths over
+    the reach, exceeds C rho^k; the second pair is for attempts from q0 and random starts, the first for those from the precomputed
+    table. Attempts from random starts may take twice the iterations. From attempt number `patience` on (not counting the one from
+    q0), attempts are given up later.
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -74,7 +75,7 @@ class Row:
         return cls
 
     def length(self, tips: int = 1) -> Length:
-        """Return how long the search continues for this number of tips."""
+        """Return the default limits on the length of a search for this number of tips."""
         return self.several if tips > 1 and self.several is not None else self.search
 
 

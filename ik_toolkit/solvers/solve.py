@@ -33,7 +33,7 @@ from .result import Result
 from .solutions import Solutions
 from .task import POSES, read_target
 
-# options that make sense only if a single answer is returned
+# options that choose or follow a single answer, which `solve_all` refuses
 CHOOSING = ("closest", "objective", "history", "follow", "timeout")
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
 EXACT = {  # options that closed forms respect or may ignore; 'auto' chooses the search if any other option is given
@@ -254,7 +254,10 @@ def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
 
 
 def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
-    """Return the solver that 'auto' means: a closed form if one fits and no preference is given, otherwise the search."""
+    """Return the name of the solver that 'auto' takes for this kind of target.
+
+    It is a closed form if one fits and respects all options, otherwise the search.
+    """
     preferences = {name: value for name, value in options.items() if name not in EXACT}
     if preferences.keys() <= set(NAMES) and make_options(preferences) == Options():
         return fits(robot, kind) or GENERAL
@@ -338,7 +341,7 @@ def solve_all(
     require_robot(robot)
     for name in CHOOSING:
         value = options.get(name)
-        # an array cannot be tested for truth
+        # an array counts as given; it has no truth value
         if value is not None and not (isinstance(value, int | float | np.bool_) and not value):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)

@@ -40,20 +40,20 @@ class Status(enum.IntEnum):
     CONSTRAINT_OPEN = 12
 
 
-# Three special values of the field `excess` in a result row follow. With SEARCHED, q or status of a closed form's row came from the
+# The field `excess` of a result row has three special values. SEARCHED: q or the status in the row of a closed form came from the
 # search after it.
 SEARCHED = -1.0
-DECIDED = -2.0  # `excess` of a search's row if the elimination found q, or certified that there is none (see `decide`)
-# `excess` of a search's row if the elimination found q and certified that no solution within the limits is nearer to q0
+DECIDED = -2.0  # The elimination found q, or certified that there is none (see `decide`).
+# The elimination found q and certified that no solution within the limits is nearer to q0.
 NEAREST = -3.0
 
 
 def is_proven(status: Any, excess: Any, plan: Any) -> Any:
-    """Return whether a result row of a plan is a proof, see `Result.proven`; status and excess are arrays or single numbers.
+    """Return whether a failure is proof that its target has no solution within the limits, as `Result.proven` says.
 
-    A closed form that fits only roughly leaves its verdict to the search (SEARCHED). Where a prismatic joint is free, a closed form
-    looks numerically for branches within the limits; LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the
-    target.
+    status, excess: numbers or arrays from the result rows of the plan. A closed form that fits only roughly leaves its verdict to
+    the search (SEARCHED). Where a prismatic joint is free, a closed form looks numerically for branches within the limits;
+    LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the target.
     """
     said = plan.row.closed & (status == Status.LIMIT_BLOCKED) & (excess != SEARCHED)
     if plan.row.closed and plan.robot.slides.any() and not plan.rule.held(plan.robot):

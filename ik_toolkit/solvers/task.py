@@ -35,7 +35,10 @@ class Counts(NamedTuple):
 
 # ----------------------------------------------------------------------------------------------------------- what counts
 def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
-    """Return the Counts of each tip. Raises InvalidOption for an unknown tip, or a tip at which nothing counts."""
+    """Return for each tip which part of its errors counts, by the options.
+
+    Raises InvalidOption for an unknown tip, or if nothing counts.
+    """
     every = []
     for name in COUNTING:
         value = getattr(o, name)
@@ -145,7 +148,10 @@ def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: 
 
 
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
-    """Return the Task record of each tip for the compiled search. Raises InvalidOption if options and kinds of target disagree."""
+    """Return for each tip the record `records.Task` that tells the compiled search what counts.
+
+    Raises InvalidOption if the options and the kinds of target disagree.
+    """
     scale, tasks = robot.chain.scale, []
     if all(kind in (KIND.position, KIND.free) for kind in kinds):
         _refuse_orientation(what_counts(robot, o), o)
@@ -175,7 +181,8 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         plain = axis is None and counts.mask is None and counts.slack is None
         frame = counts.frame
         if o.priority is not None and frame == "tip" and len(set(weights[:3])) == 1 and not slack[:3].any():
-            # A rotation vector has the same components in both frames, and axes that do not move add no second derivatives.
+            # The rotation error has the same components in the axes of tip and target; those of the target do not move, so they add
+            # no second derivatives.
             frame = "target"
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
         tasks.append(

@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter to tune: its ends and initial value (numbers or arrays), its unit, and whether its scale is logarithmic."""
+    """A parameter of a solver to tune: range and initial value (numbers or arrays), unit, and whether its scale is logarithmic."""
 
     name: str
     low: Any
@@ -50,9 +50,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a tuning search, the solver it starts from, and a function that makes a solver of parameter values.
+    """What a tuning run searches: parameters, the solver it starts from, and a function that makes a solver from parameter values.
 
-    spread: standard deviation of the first candidates about the start, in the unit box.
+    The search runs in the unit box, where each parameter goes from 0 to 1; spread is the standard deviation of its first
+    candidates about the start.
     """
 
     parameters: tuple[Parameter, ...]
@@ -67,7 +68,7 @@ class Space:
 
     @property
     def start(self) -> np.ndarray:
-        """The initial point in the unit box."""
+        """The initial point (size,) of the search, in the unit box."""
         return np.concatenate([parameter.to_unit() for parameter in self.parameters])
 
     def values(self, x: np.ndarray) -> dict[str, Any]:
@@ -84,7 +85,7 @@ class Space:
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, but at most one turn about their middle."""
     n, chain = robot.n, robot.chain
-    ends = np.atleast_2d(chain.ends)[0]  # the limits are the same for all tips
+    ends = np.atleast_2d(chain.ends)[0]  # any row: joint limits do not depend on the tip
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)

@@ -23,14 +23,17 @@ from ..task import counts_in_part
 from .result import Failures
 from .targets import mended
 
-# Number of parts that wait for each thread, or in total for an executor; an iterator of targets is read no further ahead.
+# Number of parts that wait for each thread, or in total for an executor. An iterator of targets is read no further than that.
 AHEAD, REMOTE_AHEAD = 4, 64
 SLICE = 0.05  # [s] a thread checks this often whether to stop
 
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Return the compiled solver for eight targets at once (kernel.simd_search), or None if the method or the options forbid it."""
+    """Return the compiled solver for eight targets side by side (kernel.simd_search), or None if method or options forbid it.
+
+    kinds: the kind of target of each tip.
+    """
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
     plain = plain and not (o.closest or o.follow)
@@ -61,7 +64,8 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
 
     side_by_side: the compiled solver for eight targets at once, or None.
     """
-    if len(plan.held) and len(part.start) > 1:  # with held joints, each target has a table of starts of its own
+    # with a joint held at its start (weight 0), each target has a table of starts of its own
+    if len(plan.held) and len(part.start) > 1:
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
         return
@@ -152,7 +156,7 @@ def _solve_remote(payload: bytes, job: "Job", share: float) -> tuple[np.ndarray,
 
 
 class Job(NamedTuple):
-    """A part as it is sent to a worker: targets T (a copy), their kinds, starts q0 or None, index of the first target."""
+    """A part of a batch as a worker gets it: targets T (a copy), their kinds, starts q0 or None, index of the first target."""
 
     T: np.ndarray
     kinds: tuple
@@ -164,7 +168,10 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved on threads of this process."""
+    """Yield the result rows and failures of each job, in order, solved on threads of this process.
+
+    share: fraction of the batch that Pinocchio checks, 0 to 1.
+    """
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -181,7 +188,10 @@ def check_executor(executor: Any) -> None:
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved by the workers of an executor."""
+    """Yield the result rows and failures of each job, in order, solved by the workers of an executor.
+
+    share: fraction of the batch that Pinocchio checks, 0 to 1.
+    """
     payload = pickle.dumps(plan)
     yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
 

@@ -122,7 +122,7 @@ class BatchResult(ReadOnly):
         touching = None
         if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
-            # There is no pair if the colliding obstacle has been moved away since.
+            # No pair is found if the obstacle that collided has been moved away since.
             touching = next(iter(model.collisions(self.q[k])), None)
         k = range(len(self.table))[k]  # Negative numbers count from the end.
         target, q0 = self.failures.asked(k) if self.failures is not None else (b"", b"")

@@ -73,7 +73,8 @@ def solve_parts(
     if starts is not None:
         starts, clamped = plan.check_starts(starts)
         notice = "; ".join(filter(None, (notice, clamped)))
-    plan.orders(first.kinds, starts is not None)  # A solver that cannot solve this task is refused here.
+    # This raises InvalidOption if the solver cannot do the task, before any target is solved.
+    plan.orders(first.kinds, starts is not None)
     if not finish:
         plan = plan.stripped()
     size = PART if executor is None else REMOTE_PART

@@ -18,7 +18,7 @@ ROUGH = 1e-12
 
 
 class Block(NamedTuple):
-    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
+    """N targets: for each tip poses (N, 4, 4), positions (N, 3), or None if the tip has no target."""
 
     parts: tuple[np.ndarray | None, ...]
     pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the compiled search takes them
@@ -30,7 +30,7 @@ class Block(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """The number of targets."""
+        """How many targets the block has."""
         return next(len(part) for part in self.parts if part is not None)
 
     def poses(self, a: int, b: int) -> np.ndarray:
@@ -71,7 +71,7 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
-    # numpy.array makes such an array of AxisTargets.
+    # numpy.array makes an array of objects of a list of AxisTargets
     if isinstance(targets, np.ndarray) and targets.dtype == object and targets.ndim == 1:
         targets = targets.tolist()
     if isinstance(targets, list | tuple) and targets and all(map(is_by_name, targets)):
@@ -127,7 +127,10 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 
 def known(targets: Any, base: str = "") -> Any:
-    """Return targets, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator."""
+    """Return targets in any form, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator.
+
+    Raises InvalidTarget for anything else.
+    """
     if isinstance(targets, str | bytes | set | frozenset):  # a set has no order
         raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")
     if isinstance(targets, np.ndarray):
@@ -206,7 +209,7 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
 
 
 def doubt_far(robot: Any, T: np.ndarray, what: str = "targets") -> None:
-    """Warn, once for a tip, that targets T (m, 4, 4) or (m, F, 4, 4) far out of reach may be in millimetres."""
+    """Warn, once for each tip, if targets T (m, 4, 4) or (m, F, 4, 4) are so far out of reach that they may be in millimetres."""
     for f, tip in enumerate(robot.tips):
         away = np.abs(T.reshape(len(T), -1, 4, 4)[:, f, :3, 3])
         doubt_lengths(f"{what} of {tip} on {robot.name}", float(np.nanmax(away, initial=0.0)), robot.reach)

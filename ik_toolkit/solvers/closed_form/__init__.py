@@ -10,9 +10,10 @@ def fits(robot: Any, kind: int) -> str | None:
 
 
 def fit(robot: Any, kind: int) -> tuple[str, float] | None:
-    """Return the name of the closed form for a kind of target, and by how much the robot deviates from its structure; or None.
+    """Return the name of the closed form that fits a robot, and by how much the robot's axes deviate from what it assumes; or None.
 
-    The deviation is an angle [rad] or a length over the reach. The result is stored with the robot for later calls.
+    kind: the kind of target (KIND.pose or KIND.position). The deviation is an angle [rad] or a length over the reach. The result
+    is stored with the robot for later calls.
     """
     if "closed forms" not in robot.memo:
         # Closed forms are for one tip only.

@@ -12,14 +12,14 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
-# Highest number of Newton steps that improve a solution of EAIK, or of the elimination, on the actual chain; one is usual.
+# Highest number of Newton steps that improve a solution of EAIK, or of the elimination, on the robot's own chain; one is usual.
 STEPS = 12
 # Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation matrix.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
 def recognise_six_axes(chain: Chain) -> Fit:
-    """Return how EAIK fits a chain, judged by the chain's axes at q = 0."""
+    """Return whether EAIK has a decomposition for the joint axes that a chain has at q = 0, and the parameters (48,) for it."""
     screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -42,7 +42,7 @@ def _arm(parameters: bytes) -> Any:
 
 
 def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return all of EAIK's solutions (K, 6) [rad] for the pose T (4, 4); p: the parameters that `recognise_six_axes` found.
+    """Return all solutions (K, 6) [rad] that EAIK finds for the pose T (4, 4); p: the parameters from `recognise_six_axes`.
 
     Solutions that EAIK flags as inexact are kept, because the flag is set on exact ones, too.
     """
@@ -56,10 +56,10 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 @inline
 def joint_values(angles, box, q):
-    """Fill q (6,) with `angles` (6,) [rad], each shifted by 2 pi k into its limits and as near as possible to the reference box[2].
+    """Fill q (6,) with `angles` (6,) [rad], each shifted by 2 pi k into its limits and as near as possible to the reference.
 
-    box (4, 6): lower limits, upper limits, reference, weights. Returns the largest excess over a limit [rad] and the weighted
-    squared distance from the reference.
+    The rows of box (4, 6) are lower limits, upper limits, reference [rad] and weights. Returns the largest amount by which a limit
+    is exceeded [rad], and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(N):
@@ -71,7 +71,11 @@ def joint_values(angles, box, q):
 
 @cached
 def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with the rows of Q (K, 6) as shifted by `joint_values`; broken (K,) receives their limit excess [rad]."""
+    """Fill out (K, 6) with solutions Q (K, 6) [rad], each angle shifted by 2 pi k into its limits and near a reference.
+
+    The rows of box (at least 4, 6) are lower limits, upper limits, reference [rad] and weights. broken (K,) receives the largest
+    amount by which each solution exceeds a limit [rad].
+    """
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 
@@ -88,9 +92,10 @@ class EAIK(NamedTuple):
     recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return EAIK's solutions for the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
+        """Return the solutions that EAIK finds for the pose T (4, 4), each angle shifted by 2 pi k to be nearest a reference.
 
-        Near singular poses some solutions are missing.
+        p: the parameters from `recognise_six_axes`; box (4, 6): lower and upper limits, reference [rad], weights. Near singular
+        poses some solutions are missing.
         """
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))

@@ -23,7 +23,8 @@ from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 from .polish import list_with
 
-# Least distance of the axes from a common point, as a share of the reach; below it the rounding of a pose is magnified too much.
+# Least size of an arm, as a share of its reach: how far its axes are from meeting in one point. Below it the rounding of a pose is
+# magnified too much.
 LEAST_SIZE = 1e-4
 
 
@@ -69,7 +70,7 @@ class Certificate(NamedTuple):
 
 
 def recognise_six_revolute(chain: Chain) -> Fit:
-    """Return whether a chain has six revolute joints, each moved by one coordinate; its parameters (52,) describe their axes."""
+    """Return whether a chain has six revolute joints, each moved by its own coordinate, and the array (52,) of their axes."""
     screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -81,12 +82,15 @@ def recognise_six_revolute(chain: Chain) -> Fit:
 
 @functools.lru_cache(64)
 def forms_of(arm: bytes) -> np.ndarray:
-    """Return the orderings of the loop that suit an arm (its array (52,) as bytes), best first."""
-    return make_forms(np.frombuffer(arm).copy())  # numba compiles a read-only array as another type
+    """Return the orderings of the closed loop of joints that suit an arm, best first, as `make_forms` does; the result is cached.
+
+    arm: its array (52,) from `make_arm`, as bytes.
+    """
+    return make_forms(np.frombuffer(arm).copy())  # a copy, because for a read-only array numba would compile again
 
 
 def certificate_of(answer: list[float]) -> Certificate:
-    """Return the certificate of one answer of the elimination, given its first row, the `terms.Notes`."""
+    """Return the Certificate of a list of solutions, given the first row of the answer for that pose (`terms.Notes`), as a list."""
     count, verdict, forms, roots, complex_roots, radius, noise = answer[:7]
     status = VERDICT._fields[int(verdict)].upper()
     return Certificate(status, int(count), int(roots), int(complex_roots), radius, noise, forms == 0.0)
@@ -96,22 +100,23 @@ class EliminationAnswer(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
     q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
-    # (K,) gain 1 / |J^-1|, lengths over the arm's size: a q with the pose error e is at most about e / gain away from a solution
+    # (K,) gain 1 / |J^-1| with lengths over the size of the arm: a configuration whose pose is off by e is at most about e / gain
+    # away from a solution
     gain: np.ndarray
     certificate: Certificate
     # (M, 6) other configurations near which a pose may be within a tolerance; None if they are not known
     near: np.ndarray | None
-    # (K, 2) if the status is FAMILY: position (from 1 on) in the loop of an angle that is free, or 0, and by how much it may turn
-    # either way [rad]
+    # (K, 2) for status FAMILY: the position (from 1 on) in the loop of an angle that is free, or 0 if there is none; and by how
+    # much it may turn either way [rad]
     free: np.ndarray
 
 
 def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> EliminationAnswer:
-    """Return the elimination's solutions of the pose T (4, 4); p: the parameters that `recognise_six_revolute` found.
+    """Return all solutions of the pose T (4, 4) by elimination; p: the parameters (52,) from `recognise_six_revolute`.
 
     within: how far a complex root may be from the unit circle for its configuration to be listed in `near`.
     """
-    p, T = np.array(p), np.array(T)  # writable copies, because numba compiles a read-only array as another type
+    p, T = np.array(p), np.array(T)  # writable copies, because for read-only arrays numba would compile again
     if not is_rigid(T):
         empty = np.empty((0, N))
         return EliminationAnswer(
@@ -127,10 +132,10 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Eliminati
 
 @cached
 def into_limits(Q, box, out, excess):
-    """Fill out (K, n) with solutions Q (K, n), each angle shifted by 2 pi k into its limits and as near as possible to a reference.
+    """Fill out (K, n) with solutions Q (K, n) [rad], each angle shifted by 2 pi k into its limits and near a reference.
 
-    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) [rad] is by how much each
-    joint breaks its limits.
+    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) receives by how much each
+    joint breaks its limits [rad].
     """
     for k in range(Q.shape[0]):
         for i in range(Q.shape[1]):
@@ -139,24 +144,24 @@ def into_limits(Q, box, out, excess):
 
 @cached
 def list_certain(rows, ends, opt, T, found, box, most, table, notes):
-    """List the solutions within the limits, as `polish.list_with` does, for those of N targets whose list is certified.
+    """List the solutions within the limits, for those of N targets whose list is certified to be complete.
 
     Args:
-        rows: geometry of the chain, as for `polish.list_branches`.
-        ends: limits of the chain, likewise.
-        opt: options, likewise.
+        rows: (L, 10) geometry of the chain.
+        ends: limits of the chain (`records.Ends`).
+        opt: option array (`records.Orders`).
         T: (N, 4, 4) targets [m].
         found: (N, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (at least 3, 6) lower limits, upper limits, reference [rad].
         most: largest number of rows of a target.
-        table: (at least the sum of all solutions, 9) receives the rows of `list_with`, one target after another.
+        table: (at least the sum of all solutions, 9) receives the rows of `polish.list_with`, one target after another.
         notes: (N, 2 + `terms.Notes`) receives for each target the index of its first row, the number of its rows, and the first row
             of its answer. The number is -1 if the list is not certified, a row misses the tolerances, or there are more than
             `most`.
     """
     at, n = 0, box.shape[1]
     p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))
-    none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # this closed form has no signs of branches
+    none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # the elimination gives no signs of shoulder, elbow, wrist
     work, q, broken = np.empty((2, n)), np.empty((found.shape[1], n)), np.empty(found.shape[1])
     for t in range(T.shape[0]):
         notes[t, 0], notes[t, 1] = at, -1
@@ -188,16 +193,21 @@ class Elimination(NamedTuple):
     def certain(
         self, chain: tuple, forms: np.ndarray, p: np.ndarray, opt: np.ndarray, T: np.ndarray, box: np.ndarray, most: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the table and notes of `list_certain` for poses T (N, 4, 4)."""
+        """List the solutions of N poses at once; return the arrays `table` and `notes` that `list_certain` fills.
+
+        chain: rows, ends and further arrays of a plan; forms, p: what `forms_of` and `recognise_six_revolute` return; opt: option
+        array; T (N, 4, 4); box (4, 6): limits, reference, weights; most: largest number of solutions of a pose.
+        """
         found = answers(forms, p, T)
         table, notes = np.empty((len(T) * SIZES.rows, 3 + N)), np.empty((len(T), 2 + SIZES.columns))
         list_certain(*chain[:2], opt, T, found, box, most, table, notes)
         return table, notes
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
+        """Return all solutions of the pose T (4, 4), each angle shifted by 2 pi k to be nearest the reference box[2].
 
-        If the list is not certified to be complete, a search adds what it finds.
+        p: the parameters from `recognise_six_revolute`; box (4, 6): lower and upper limits, reference [rad], weights. A list that
+        is not certified to be complete is marked, so that a search adds what it finds.
         """
         Q, _, certificate, _, free = solutions_of(p, T)
         families = []

@@ -12,9 +12,9 @@ from .geometry import Family
 
 
 def moving_places(split: Split, place: int) -> tuple[int, ...]:
-    """Return the positions in the loop of the joints that move in a self-motion.
+    """Return the positions, in the closed loop of joints, of those joints that move in a self-motion of a decomposed arm.
 
-    The position `place` of the free angle comes first.
+    split: how the arm is decomposed; place: position of the angle that is free, which comes first in the result.
     """
     if split.parallel:
         return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
@@ -24,10 +24,11 @@ def moving_places(split: Split, place: int) -> tuple[int, ...]:
 def families_of(
     robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
 ) -> list[tuple[Family, np.ndarray]]:
-    """Return the self-motions (Family) through q (6,), each with its member whose leading joint is nearest the reference.
+    """Return the self-motions through q (6,): pairs of a Family and its member whose leading joint is nearest the reference.
 
-    arm (52,), form: arrays of the arm and of its decomposition; free (2,): position (from 1 on) in the loop of the angle that is
-    free, and by how much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits and reference [rad].
+    arm (52,), form: arrays of the arm and of its decomposition; free (2,): the position (from 1 on) in the loop of joints of the
+    angle that is free, and by how much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits, reference
+    [rad].
     """
     split = Split(*form[: len(Split._fields)])
     place, half = int(free[0]) - 1, float(free[1])

@@ -18,23 +18,24 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import SIZE, Answer, Ends, Orders, read, write
 
-FIT = 1e-9  # axes that deviate less from a structure [rad, or length over the reach] fit it exactly
-# Axes that deviate more from a structure [rad, or length over the reach] do not fit it.
-# Files written with five digits are off by up to 1e-4, and Newton steps correct them.
+# a robot fits a closed form exactly if its axes deviate from what the form assumes by less [rad, or length over the reach]
+FIT = 1e-9
+# A robot does not fit a closed form if its axes deviate from what the form assumes by more [rad, or length over the reach]. Files
+# written with five digits are off by up to 1e-4, and Newton steps correct that.
 NEAR = 1e-4
 SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
 
 
 class Fit(NamedTuple):
-    """The result of comparing a chain with the structure of a closed form."""
+    """The result of comparing a chain with the geometry that a closed form assumes."""
 
     parameters: np.ndarray  # The numbers that the closed form needs; empty if the chain does not fit.
     reason: str  # The reason why the chain does not fit, or ''.
-    off: float  # By how much the axes deviate from the structure [rad, or length over the reach].
+    off: float  # By how much the axes deviate from what the form assumes [rad, or length over the reach].
 
 
 def no_fit(reason: str) -> Fit:
-    """Make a Fit of a chain that does not fit, with the reason."""
+    """Return the Fit of a chain for which a closed form cannot be used, with the reason."""
     return Fit(np.zeros(0), reason, math.inf)
 
 
@@ -77,10 +78,10 @@ class Screws(NamedTuple):
 
 
 def read_screws(chain: Chain) -> Screws | str:
-    """Return the joint screws at q = 0, or the reason (text) why there are none: one coordinate drives several joints (mimic)."""
+    """Return the joint axes of a chain at q = 0 or, if one coordinate moves several joints (mimic), a text that says so."""
     if not chain.plain:
         return "it has mimic joints"
-    # `evaluate` is not compiled, so recognising a robot compiles nothing.
+    # This uses plain NumPy, so recognising a robot compiles nothing.
     T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0
@@ -89,7 +90,7 @@ def read_screws(chain: Chain) -> Screws | str:
 
 
 def read_revolute(chain: Chain, count: int) -> Screws | str:
-    """Return the joint screws of a chain of `count` revolute joints, or the reason (text) why it is none."""
+    """Return the joint axes of a chain of `count` revolute joints, or a text with the reason why it is not such a chain."""
     if chain.n != count:
         return f"it has {chain.n} joints on the path, not {count}"
     screws = read_screws(chain)
@@ -110,9 +111,9 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return the angle shifted by 2 pi k into [low, high] and, of several such values, the one nearest `near`.
+    """Return an angle shifted by 2 pi k into [low, high] and, of several such values, the one nearest `near`; all [rad].
 
-    Also returns by how much [rad] the result is outside the limits (0: inside), if no such shift puts it inside.
+    Also returns by how much the result is outside [low, high]; 0 if it is inside.
     """
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
@@ -126,7 +127,7 @@ def legal_turn(angle, low, high, near):
 
 @shared
 def clamp(x, low, high):
-    """Return x, put on a limit that it exceeds by less than SNAP, and by how much it still exceeds the limits."""
+    """Return x, moved onto a limit (low or high) that it exceeds by less than SNAP, and by how much it still exceeds one."""
     if x > high:
         return (high, 0.0) if x - high <= SNAP else (x, x - high)
     if x < low:
@@ -136,14 +137,20 @@ def clamp(x, low, high):
 
 @inline
 def legal_start(ends, opt, q0):
-    """Return whether the start q0 (n,) [rad or m] is finite and, if limits count, inside them; True if no start is given."""
+    """Return whether the start q0 (n,) [rad or m] is finite and, if limits are kept, inside them; True if the caller gave no start.
+
+    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`).
+    """
     o = read(Orders, opt)
     return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
 
 @inline
 def copy_limits(ends, opt, q0, box):
-    """Fill the rows of box (4, n): lower limits, upper limits, reference (q0, or else home) [rad or m], distance weights."""
+    """Fill the rows of box (4, n): lower limits, upper limits, reference (q0 if given, else home) [rad or m], distance weights.
+
+    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`); q0 (n,): start of the call.
+    """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
@@ -157,11 +164,12 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Evaluate the forward kinematics at q (n,) [rad or m]; write its errors and the status to the result row `out`.
+    """Write the answer q (n,) [rad or m] of a closed form, its errors and its status to the result row `out`.
 
-    `broken` is by how much the best branch exceeds a limit. `gap` is how far [m] the target is out of reach with its orientation
-    kept, and `slack` how much of `gap` [m] the orientation tolerance may make up for. `goal` (12,), `joints` and `trig` are
-    scratch, see `kinematics.room`.
+    rows, ends, opt: geometry, limits and options of the chain; T (4, 4): target; box (4, n): see `copy_limits`. broken: by how
+    much the best branch exceeds a limit; gap: how far [m] the target is out of reach with its orientation kept; slack: how much of
+    that [m] the orientation tolerance may make up for. goal, joints, trig: scratch, see `kinematics.room`; hist: a row of history,
+    or none.
     """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)

@@ -58,12 +58,12 @@ from .polish import polish
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
-STEPS = 24  # Limit on the Newton steps that refine an answer on the actual chain.
+STEPS = 24  # Highest number of Newton steps that refine an answer on the robot's own chain.
 CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Return how the closed form fits a chain, judged by the chain's joint axes."""
+    """Return whether, and how exactly, the joint axes of a chain are those of a spherical shoulder on a lift, as a Fit."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
@@ -75,7 +75,7 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # pairs (deviation, message): how far the chain deviates from the structure, and what to say about it
+    off = []  # pairs of a deviation [rad, or length over the reach] from the assumed geometry, and a message about it
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))
@@ -89,7 +89,8 @@ def recognise(chain: Chain) -> Fit:
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
         off.append((missed, f"its {place} revolute axis misses the point where the first and second are nearest"))
-    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # the point of axis 5 nearest the shoulder
+    # the point of axis 5 in the plane through the shoulder perpendicular to axis 4
+    level5 = c5 + z4 * (z4 @ (shoulder - c5))
     missed = np.linalg.norm(across(z6, c6 - level5)) / chain.reach
     off.append((missed, "its fifth revolute axis does not cross the fourth level with the shoulder"))
     for value, words in off:
@@ -100,7 +101,7 @@ def recognise(chain: Chain) -> Fit:
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= NEAR * chain.reach:
         return no_fit("two of its parallel revolute axes coincide")
-    # The D-H x axes at q = 0 give the offset of every angle; axes 5 and 7 are assumed to point along axes 4 and 6.
+    # The offset of each angle is the angle between D-H x axes at q = 0; axes 5 and 7 are assumed to point along axes 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
     x5 = np.cross(z6, z4)
@@ -126,9 +127,9 @@ def recognise(chain: Chain) -> Fit:
 
 @cached
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
+    """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
 
-    `protocol.ClosedForm.loop` describes the arguments.
+    The arguments are those of `protocol.ClosedForm.loop`.
     """
     n = seeds.shape[1]
     p = opt[SIZE.weights + n :]
@@ -183,7 +184,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # k = 0 refines the best branch so far, then all at the same lift are refined
+            for k in range(found + 1):  # k = 0 refines the best branch so far, k > 0 each branch at the same lift
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -192,7 +193,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # one is reserved for the answer itself
+                left = opt[ORDER.evaluations] - 1.0 - spent  # the last evaluation computes the errors of the answer
                 position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
                 spent += count
                 distance = 0.0
@@ -230,7 +231,7 @@ class Inspection(NamedTuple):
     every = staticmethod(listing)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the geometry, and how the prismatic joint's value is chosen, as numbers for the compiled solver.
+        """Return the arm's parameters (49,) as `lift_arm` names them, with how the value of the prismatic joint is chosen.
 
         Raises UnknownSolver if the robot has another structure, InvalidOption if `lift` is none of its choices.
         """
@@ -252,7 +253,10 @@ class Inspection(NamedTuple):
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Write out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
+        """Return the formulas and their numbers for the pose T (4, 4), to explain a solve.
+
+        p: what `pack` returns; box (4, n): lower and upper limits, the answer to be explained, weights.
+        """
         from .inspection_steps import derive
 
         return derive(robot, p, T, box)

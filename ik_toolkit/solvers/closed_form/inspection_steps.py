@@ -29,16 +29,18 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-# A row of the `table` of `worked_out` describes a branch. These are the indices where its angles, limit excess and q begin.
+# Each row of the `table` of `worked_out` describes a branch; its angles begin at index ANGLES, then comes by how much it exceeds a
+# limit, then q.
 ANGLES, BROKEN, Q = 3, 9, 10
-# Indices in the parameters of the transforms base -> shoulder axes and tip -> wrist axes: rotation (9), then point (3).
+# Where two transforms begin in the array of the arm's parameters: base to shoulder axes, and tip to wrist axes, each as rotation
+# (9), then point (3).
 BASE, TOOL = 0, 12
-ALIGNED = 1e-12  # axes that differ by less [m, or rotation matrix entries] are the same
+ALIGNED = 1e-12  # rotations or points whose entries differ by less [1 or m] are the same
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Indices, in the array `head` of `worked_out`, of the numbers after the wrist pose; their meaning is described there."""
+    """Indices in the array `head` that `worked_out` fills and describes, after the first twelve numbers (the wrist pose)."""
 
     shoulder: int = 12
     room: int = 15
@@ -55,11 +57,12 @@ HEAD = HeadSlots()
 
 @cached
 def worked_out(p, T, d, box, head, table):
-    """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
+    """Fill head (22,) and table (8, 10 + n) with what the solver computes for the pose T (4, 4); return the number of branches.
 
-    head holds the wrist pose (12), the shoulder in its axes (3), the distance to the edge of the reach [m], how far [m] the wrist
-    was moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers
-    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the excess over limits, and q.
+    p: the arm's parameters (`lift_arm`); d: value [m] of the prismatic joint; box (4, n): limits, reference, weights. head holds
+    the wrist pose (12), the shoulder in the wrist's axes (3), the distance to the edge of the reach [m], how far [m] the wrist was
+    moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers (0 or 1) of its
+    elbow, wrist and shoulder, theta_1 and theta_3 to theta_7, by how much it exceeds limits, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -85,7 +88,10 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches of the pose T (4, 4), at the given lift (prismatic joint) or that of box[2]."""
+    """Return the formulas and branches of the pose T (4, 4), at the given value of the prismatic joint or that of box[2].
+
+    p: the arm's parameters (`lift_arm`); box (4, n): lower and upper limits, the answer to be explained [rad or m], weights.
+    """
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
@@ -164,7 +170,7 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
     r = sheet.formula("r", sqrt(s[0] ** 2 + s[1] ** 2), "m", "its distance from axis 7")
     near, far = (sqrt((r + side * a6) ** 2 + s[2] ** 2) for side in (-1, 1))
     words = "room left in the reach; below 0 is out of reach"
-    # The minimum stays unevaluated, because comparing the two takes SymPy 50 ms.
+    # The minimum stays unevaluated, because SymPy takes 50 ms to compare the two.
     room = Min(a4 - near, far - a4, evaluate=False)
     sheet.formula("g", room, "m", words, None if head[HEAD.moved] > 0.0 else head[HEAD.room])
     wide = Max(sqrt((a4 - s[2]) * (a4 + s[2])), Abs(r - a6), evaluate=False)

@@ -18,30 +18,32 @@ from .reach import (
     inspection_nearest,
     level_arm,
     lift_intervals,
-    nearest_lift,
 )
 
-# Indices in the array of the arm's parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12). A4 and
-# A6 are lengths, and NEARLY tells whether the arm has the structure only approximately. From JOINTS on, each revolute joint has its
-# index in q, sign and offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none), sign,
-# choice and given value.
+# Indices in the array p of the arm's parameters, after two transforms: base to shoulder axes (12) and tip to wrist axes (12). A4
+# and A6 are the lengths [m] from shoulder to axis 5 and from axis 5 to axis 7. From JOINTS on, each of the six revolute joints has
+# its index in q, its sign and its offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none),
+# its sign, the choice of its value and a given value. NEARLY tells whether the arm has the structure only approximately.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-# values of the prismatic joint tried per feasible interval if no branch at the first value is inside the limits
+# number of values of the prismatic joint tried in each feasible interval if no branch at the first value is inside the limits
 SCAN = 12
 # A branch is tried at 33 values of the prismatic joint. If all exceed limits, minima of the excess are searched for between them.
 WINDOWS = 33
 # The golden section takes 64 steps, after which the interval is as small as rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 TURNS = 8  # largest |k| in shifts by 2 pi k; joints with wider limits count as endless
-# Axes 1 and 4 count as parallel if two numbers are below this: the component of the wrist's z axis along axis 1, and the position
-# error of `level_arm` over the arm's length a4 + a6.
+# Axes 1 and 4 count as parallel if both of these are smaller: the component of the wrist's z axis along axis 1, and the position
+# error of `level_arm` as a share of a4 + a6.
 LEVEL = 1e-9
 
 
 @shared
 def wrist_pose(p, T, P):
-    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes; p: the arm's parameters."""
+    """Fill P (12,) with the pose of the wrist, seen from the shoulder at lift 0, for a target pose T (4, 4) of the tip.
+
+    P has the rotation by rows, then the point [m]; p: the arm's parameters.
+    """
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
         m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
@@ -54,10 +56,11 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q (n,) with lift (prismatic joint) d and `angles` (6,), each shifted by 2 pi k into its limits, nearest box[2].
+    """Fill q (n,) [rad or m] from the six revolute angles `angles` (6,) and the lift d [m], the value of the prismatic joint.
 
-    p: the arm's parameters; box (4, n): lower limits, upper limits, reference, weights. Returns the largest excess over a limit
-    [rad or m] and the weighted squared distance from the reference.
+    Each angle is shifted by 2 pi k into its limits, as near the reference as possible. p: the arm's parameters; box (4, n): lower
+    limits, upper limits, reference, weights. Returns the largest amount by which a limit is exceeded [rad or m], and the weighted
+    squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for k in range(6):
@@ -76,17 +79,21 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the angles theta of the reference configuration box[2]; a free angle takes its value from there."""
+    """Fill near (6,) with the angles theta [rad] of the reference configuration, from which angles that are free take their value.
+
+    p: the arm's parameters; box (4, n): lower limits, upper limits, reference [rad or m], weights.
+    """
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that is nearest the reference inside the limits, or else exceeds them least.
+    """Fill best (n,) with the branch at lift d [m] nearest the reference inside the limits, or else the one exceeding them least.
 
-    d is the value of the prismatic joint. The point of the wrist pose P is first moved to the nearest reachable one. Returns the
-    excess over limits and the distance. near (6,): values for angles that are free; moved, sols and q are scratch.
+    The wrist pose P (see `wrist_pose`) is first moved to the nearest one in reach. Returns by how much a limit is exceeded [rad or
+    m], and the weighted squared distance from the reference. p: the arm's parameters; box (4, n): limits, reference, weights; near
+    (6,): values of angles that are free; moved (12,), sols (8, 6) and q (n,) are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -101,20 +108,47 @@ def pick(p, P, d, box, near, moved, sols, q, best):
 
 @inline
 def lift_limits(p, box):
-    """Return the lowest and highest lift [m] that the prismatic joint's limits in `box` allow, along the shoulder's own axis."""
+    """Return the lowest and highest lift [m], measured along axis 1, that the limits of the prismatic joint allow.
+
+    p: the arm's parameters; box: lower limits, then upper limits of the joints.
+    """
     i = int(p[LIFT])
     if p[LIFT + 1] > 0.0:
         return box[0, i], box[1, i]
     return -box[1, i], -box[0, i]
 
 
+@shared
+def nearest_lift(P, a4, a6, low, high):
+    """Return the lift [m] in [low, high] from which a wrist pose P, out of reach from all of them, is missed least.
+
+    P: see `wrist_pose`; its orientation is kept. a4, a6: link lengths [m].
+    """
+    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts farther away than this only increase the distance
+    low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
+    best, step = low, (high - low) / 64.0
+    for k in range(1, 65):
+        d = low + k * step
+        if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
+            best = d
+    a, b = max(best - step, low), min(best + step, high)
+    for _ in range(60):
+        u, v = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
+        if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
+            a = u
+        else:
+            b = v
+    return 0.5 * (a + b)
+
+
 @inner
 def choose_lift(p, P, box, spans):
-    """Return the lift (prismatic joint) [m] to try first, and the number of feasible intervals, written to spans (2, 2).
+    """Return the lift (value of the prismatic joint) [m] to try first, and the number of feasible intervals of it.
 
-    A lift is feasible if the wrist pose P is in reach from it. If the number is 0, no lift inside the limits is feasible,
-    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its value is
-    given, or the reference value is feasible and is kept.
+    The intervals are written to spans (2, 2). A lift is feasible if the wrist pose P (see `wrist_pose`) is in reach from it. If
+    the number is 0, no lift inside the limits is feasible, and the one that comes nearest is returned. If it is -1, no intervals
+    were needed: the arm has no lift, its value is given, or the reference value is feasible and is kept. p: the arm's parameters;
+    box (4, n): limits, reference, weights.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -142,10 +176,11 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return lift, gap and missing stroke [m] where the limits of the prismatic joint keep the arm from the target.
+    """Return lift, gap and missing stroke [m] where the limits of the prismatic joint keep the arm from the wrist pose P.
 
-    If a lift beyond the limits reaches the target, these are the limit nearest to such a lift, a gap of 0, and the distance between
-    the two. Otherwise d and gap are returned, with a stroke of 0.
+    If a lift beyond the limits reaches P, these are the limit nearest to such a lift, a gap of 0, and the distance between the
+    two. Otherwise d and gap, the lift and distance from P found so far, are returned with a stroke of 0. p: the arm's parameters;
+    box: lower limits, then upper limits; spans (2, 2): scratch.
     """
     low, high = lift_limits(p, box)
     least = np.inf
@@ -159,10 +194,10 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Try SCAN values of the prismatic joint in each feasible interval (a row of `spans`), and fill best (n,) with the best branch.
+    """Fill best (n,) with the best branch at SCAN lifts in each feasible interval (a row of `spans`); return its limit excess.
 
-    That is the branch inside the limits nearest the reference, or else the one of least excess over limits, which is returned. The
-    values are closer together at the ends of an interval, where the angles change fastest.
+    The best is the branch inside the limits nearest the reference, or else the one that exceeds them least. The lifts are closer
+    together at the ends of an interval, where the angles change fastest. Other arguments as for `pick`; tries (2, n): scratch.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -178,9 +213,10 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q (n,) with branch k at a lift (prismatic joint) in `span`; return its limit excess and distance from the reference.
+    """Fill q (n,) with branch k (0 to 7) of the wrist pose P at a lift in `span` [m]; return its limit excess and distance.
 
-    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
+    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval. The results are those of
+    `joint_values`; p, box, near: as for `pick`; row (6,): scratch.
     """
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
@@ -189,11 +225,11 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search feasible intervals of the lift (prismatic joint; rows of `spans`) for parts where a branch is inside all limits.
+    """Search feasible intervals of the lift (rows of `spans` [m]) for parts, perhaps narrow, where a branch is inside all limits.
 
-    A part may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
-    minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of
-    least excess, and returns this excess.
+    In such a part the largest excess of the branch over a limit, as a function of the lift, has a minimum. Each minimum is
+    approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of least excess, and
+    returns this excess. Other arguments as for `pick`; broken (WINDOWS,), row (6,) and q (n,) are scratch.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -230,9 +266,10 @@ def narrow_windows(p, P, box, near, spans, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Return i, j, base and slope of q_j = base + slope q_i for an arm with axes 1 and 4 parallel and the angles `row` (6,).
+    """Return i, j, base and slope of q_j = base + slope q_i, the joints that turn theta_1 and theta_4, if their axes are parallel.
 
-    Joints i and j turn theta_1 and theta_4, of which the pose only determines theta_4 - up theta_1; up is 1 or -1.
+    Of these angles the pose only determines theta_4 - up theta_1, with up = 1 or -1. p: the arm's parameters; row (6,): its
+    angles.
     """
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
     base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
@@ -241,9 +278,9 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the ends of the range of q_i in which q_i and q_j = shift + slope q_i are inside their limits; slope is 1 or -1.
+    """Return the ends of the range of q_i [rad] in which q_i and q_j = shift + slope q_i are inside their limits.
 
-    The range is empty if its first end is above its second.
+    The range is empty if its first end is above its second. slope is 1 or -1; box: lower limits, then upper limits of the joints.
     """
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
@@ -251,9 +288,9 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of an arm with axes 1 and 4 parallel by the joint value x, and theta_4 so that the pose is kept.
+    """Set theta_1 of an arm with axes 1 and 4 parallel by the joint value x [rad], and theta_4 so that the pose is kept.
 
-    row (6,): the arm's angles, changed in place.
+    row (6,): the arm's angles, changed in place; p: its parameters; up: 1 or -1, as for `coupled`.
     """
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
     row[0] += turned
@@ -262,10 +299,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4, with axes 1 and 4 parallel and the angles `row` (6,), to the pair in limits nearest the reference.
+    """Set theta_1 and theta_4 of an arm with these axes parallel to the pair inside the limits that is nearest the reference.
 
-    The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds them least
-    is chosen.
+    If no pair is inside the limits, the one that exceeds them least is taken. row (6,): the arm's angles, changed in place; p, up:
+    as for `coupled`; box (4, n): limits, reference, weights.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -285,10 +322,11 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best (n,) with the configuration of least excess over limits that has axes 1 and 4 parallel.
+    """Fill best (n,) with the configuration that exceeds limits least among those with axes 1 and 4 parallel; return its excess.
 
-    Of several, the one nearest to the reference is chosen. Returns its excess, or infinity if no such configuration reaches the
-    pose P. If `free`, each configuration takes the lift that it needs, otherwise lift d.
+    Of several, the one nearest to the reference is taken. The excess is infinite if no such configuration reaches the wrist pose
+    P. If `free`, each configuration takes the lift that it needs, otherwise lift d [m]. Other arguments as for `pick`; row (6,):
+    scratch.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

@@ -42,15 +42,16 @@ from .reach import (
 
 SPREAD_LIFTS = 9  # number of values of the prismatic joint, in each feasible interval, at which branches are listed
 STEPS = 8  # number of Newton steps that correct a branch of an arm that fits only approximately
-LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # why an angle is free: axes 1 and 4 parallel, shoulder on axis 6 or 7
+# reasons why an angle is free, as bits: axes 1 and 4 are parallel, or the shoulder is on axis 6, or on axis 7
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4
 
 
 @cached
 def every_branch(p, T, box, lifts, out, broken):
-    """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
+    """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) [m] that reach it; return their number.
 
-    broken (8 K,) receives by how much each branch exceeds a joint limit. p: the arm's parameters; box (4, n): see
-    `geometry.copy_limits`; a lift is a value of the prismatic joint [m] along the shoulder's axis.
+    A lift is a value of the prismatic joint, along the shoulder's axis. p: the arm's parameters (`lift_arm`); box (4, n): see
+    `geometry.copy_limits`. broken (8 K,) receives by how much each branch exceeds a joint limit [rad or m].
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -68,7 +69,10 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Return the lift (prismatic joint) [m] at which the branches of T (4, 4) are listed if one value is enough."""
+    """Return the value [m] of the prismatic joint at which the branches of T (4, 4) are listed if one value is enough.
+
+    p: the arm's parameters (`lift_arm`); box (4, n): see `geometry.copy_limits`.
+    """
     P, spans = np.empty(12), np.empty((2, 2))
     wrist_pose(p, T, P)
     return choose_lift(p, P, box, spans)[0]
@@ -76,9 +80,10 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist in the branches Q (K, n) of the pose T (4, 4).
+    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of the branches Q (K, n) of the pose T (4, 4).
 
-    Returns why an angle is free at lift d, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7).
+    Returns why an angle is free at the value d [m] of the prismatic joint, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7). p: the arm's
+    parameters (`lift_arm`).
     """
     for k in range(Q.shape[0]):
         for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
@@ -101,8 +106,9 @@ def looks(p, T, d, Q, marks):
 def level_family(p, T, box, d, free, samples, spans, out, broken):
     """Fill spans (S, 2) with the ranges [rad] in which joint 1 is free because axes 1 and 4 are parallel; return their number.
 
-    `samples` configurations spread evenly over each range are written to out (S samples, n), their excess over limits to broken (S
-    samples,). If `free`, the lift (prismatic joint) of each configuration is the one that it needs, otherwise it is d.
+    `samples` configurations spread evenly over each range are written to out (S samples, n), and by how much they exceed limits to
+    broken (S samples,). If `free`, each configuration has the value of the prismatic joint that it needs, otherwise d [m]. p: the
+    arm's parameters (`lift_arm`); T (4, 4): the pose; box (4, n): see `geometry.copy_limits`.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)
@@ -137,7 +143,10 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
 
 @cached
 def reaching(p, T, low, high, spans):
-    """Fill spans (2, 2) with the intervals of the lift (prismatic joint) that reach T (4, 4); return their number."""
+    """Fill spans (2, 2) with the intervals of the lift [m], between low and high, that reach T (4, 4); return their number.
+
+    p: the arm's parameters (`lift_arm`); the lift is the value of the prismatic joint, along the shoulder's axis.
+    """
     P = np.empty(12)
     wrist_pose(p, T, P)
     return lift_intervals(P, p[A4], p[A6], low, high, spans)
@@ -145,9 +154,9 @@ def reaching(p, T, low, high, spans):
 
 @cached
 def shortened(p, T, lift, P, before):
-    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift (prismatic joint); return how far [m] it was moved.
+    """Write the wrist pose of T (4, 4), moved into reach at a lift [m], to P (12,); return how far [m] it was moved.
 
-    `before` (3,) receives its point before that move.
+    p: the arm's parameters, P: see `lift_arm.wrist_pose`; before (3,) receives the point of P before the move.
     """
     wrist_pose(p, T, P)
     copy(P[9:], before)
@@ -157,7 +166,10 @@ def shortened(p, T, lift, P, before):
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
-    """Return the intervals (0 to 2) of the prismatic joint's value [m], inside [low, high], that reach the pose T (4, 4)."""
+    """Return the intervals (0 to 2) of the prismatic joint's value [m], between low and high, that reach the pose T (4, 4).
+
+    p: the arm's parameters (`lift_arm`).
+    """
     spans, sign = np.empty((2, 2)), p[LIFT + 1]
     ends = sorted((sign * low, sign * high))
     count = reaching(p, np.ascontiguousarray(T, dtype=float), float(ends[0]), float(ends[1]), spans)
@@ -165,9 +177,9 @@ def feasible_lifts(
 
 
 def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
-    """Return the pose nearest T (4, 4) that is reachable at a value of the prismatic joint [m], and its distance [m].
+    """Return the pose in reach nearest to T (4, 4), at a value `lift` [m] of the prismatic joint, and its distance from T [m].
 
-    The orientation is kept.
+    The orientation is kept. p: the arm's parameters (`lift_arm`).
     """
     P, before, near = np.empty(12), np.empty(3), np.array(T, dtype=float)
     gap = shortened(p, near, p[LIFT + 1] * lift, P, before)
@@ -176,10 +188,10 @@ def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray,
 
 
 def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-    """List all branches of T (4, 4), at one value of the prismatic joint or, if that is free, at several.
+    """Return all branches of T (4, 4), at one value of the prismatic joint or, if that is free, at several.
 
-    One value is used if it is given, locked or chosen by 'mid'. box (4, n) has limits, reference and weights (see
-    geometry.copy_limits); count says about how many samples of a self-motion to list.
+    One value is used if it is given, locked or chosen by 'mid'. p: the arm's parameters (`lift_arm`); box (4, n): limits,
+    reference and weights (`geometry.copy_limits`); count: about how many samples of a self-motion to list.
     """
     place, sign, choice = int(p[LIFT]), p[LIFT + 1], p[LIFT + 2]
     free_lift = place >= 0 and choice == NEAREST
@@ -223,7 +235,7 @@ def _free_angles(
     free: bits returned by `looks`; free_lift: whether the prismatic joint is free, too; count: number of samples to list per range.
     Samples come first in the result, as pairs of configurations (M, n) and their excess over limits (M,).
     """
-    # Names of the joints that turn theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
+    # the joints that turn theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7
     names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]
     more, families = [], []
     if free & LEVEL_ARM:

@@ -26,7 +26,8 @@ ROUNDED = 1e-13  # Leading Chebyshev coefficients below this share of the larges
 # Roots count as real up to this imaginary part (of half the interval), because rounding splits double roots.
 DOUBLE = 1e-3
 HALVINGS = 52  # number of bisections, after which an end is exact to rounding
-JUMP, GAP = 0.1, 1e-6  # A branch that moves by 0.1 rad over 2e-6 of an interval jumps: axes 1 and 4 are parallel there.
+# A branch that moves by JUMP [rad] over twice the share GAP of an interval jumps there: axes 1 and 4 are parallel.
+JUMP, GAP = 0.1, 1e-6
 
 
 class LiftWindow(NamedTuple):
@@ -39,7 +40,10 @@ class LiftWindow(NamedTuple):
 
 @cached
 def branch_rows(p, T, box, lifts, Q, broken):
-    """Fill Q (8, K, n) with the branches of T (4, 4) at lifts (K,) [m, shoulder axes], broken (8, K) with their excess."""
+    """Fill Q (8, K, n) with the eight branches of T (4, 4) at lifts (K,) [m], and broken (8, K) with how far they exceed limits.
+
+    p: the arm's parameters (`lift_arm`); box (4, n): limits, reference, weights; a lift is measured along the shoulder's axis.
+    """
     near, P, moved, row = np.empty(6), np.empty(12), np.empty(12), np.empty(6)
     near_angles(p, box, near)
     wrist_pose(p, T, P)
@@ -176,7 +180,8 @@ def _conditions(p: np.ndarray, T: np.ndarray, box: np.ndarray, d: np.ndarray) ->
     along, side, z = S[:, :2] @ e, S[:, :2] @ np.array([-e[1], e[0]]), S[:, 2]
     squares, L2 = (S[:, :2] ** 2).sum(axis=1), (a4 - z) * (a4 + z)
     C = 0.5 * (a6 * a6 - L2 - squares)
-    pose = (squares, -2.0 * C * along, C * C - side * side * L2)  # quadratics in alpha, the same for every branch
+    # the coefficients of a quadratic in alpha, the same for every branch
+    pose = (squares, -2.0 * C * along, C * C - side * side * L2)
     made = [pose[2]]
     for k in range(6):
         i, sign, offset = int(p[JOINTS + 3 * k]), p[JOINTS + 3 * k + 1], p[JOINTS + 3 * k + 2]

@@ -13,7 +13,7 @@ from ...kernel.records import AT, ORDER, SIZE, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # number of samples asked for from a self-motion
+SAMPLE = 64  # number of samples to list of a self-motion
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
@@ -42,10 +42,11 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
 @cached
 def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
-    """Polish the branches Q (K, n) of the target T (4, 4), choose one, and write it to the result row `out`.
+    """Refine the branches Q (K, n) of the target T (4, 4) by Newton steps, and write the best one to the result row `out`.
 
-    Of the branches within the tolerances, the one nearest the start q0 (or home if no q0 is given) is chosen. If no branch
-    is within them, the one with the smallest error is chosen. steps, fixed: as in `polish`.
+    That is the one within the tolerances nearest the start q0 (or home if no q0 is given) or, if there is none, the one with the
+    smallest error. rows, ends, opt: geometry, limits and options of the chain; steps, fixed: as for `polish`; hist: a row of
+    history, or none.
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):

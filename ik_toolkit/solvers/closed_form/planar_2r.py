@@ -35,7 +35,7 @@ STEPS = 8  # number of Newton steps that correct a branch if axes are only nearl
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Return how the closed form fits a chain, judged by the chain's joint axes."""
+    """Return whether, and how exactly, a chain is two revolute joints with parallel axes, as a Fit."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
@@ -63,11 +63,11 @@ def recognise_planar(chain: Chain) -> Fit:
 
 @inner
 def nearest_on_limits(p, x, y, box, q, best):
-    """Fill best (2,) with the configuration inside the limits whose tip is nearest (x, y), if no branch is inside them.
+    """Fill best (2,) with the configuration inside the limits whose tip is nearest (x, y) [m], if no branch is inside them.
 
-    One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc
-    about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc. p:
-    the arm's parameters; box (4, 2): limits, reference, weights; q (2,) is scratch.
+    One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc about the
+    base. The nearest point of the arc lies in the direction of (x, y) from its centre, or is an end of the arc. p: the arm's
+    parameters (`reach`); box (4, 2): lower and upper limits, reference [rad], weights; q (2,) is scratch.
     """
     a, b = p[L1], p[L2]
     miss = np.inf
@@ -100,9 +100,9 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 @cached
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
+    """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
 
-    `protocol.ClosedForm.loop` describes the arguments.
+    The arguments are those of `protocol.ClosedForm.loop`.
     """
     n = 2
     p = opt[SIZE.weights + n :]
@@ -162,10 +162,10 @@ class Planar2R(NamedTuple):
     recognise = staticmethod(recognise_planar)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all branches of the point of T (4, 4).
+        """Return the elbow branches of two parallel revolute axes for the position of T (4, 4).
 
-        If the links fold back onto the base, the first joint is free and `count` of its values are listed. p: the arm's
-        parameters; box (4, 2): limits, reference and weights (see geometry.copy_limits).
+        If the links fold back onto the base, the first joint is free and `count` of its values are listed. p: the arm's parameters
+        (`reach`); box (4, 2): lower and upper limits, reference [rad], weights.
         """
         q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
         found, folded = list_planar(p, T, box, q, broken, marks)
@@ -184,7 +184,10 @@ class Planar2R(NamedTuple):
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Write out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
+        """Return the formulas and their numbers for the position of T (4, 4), to explain a solve.
+
+        p: the arm's parameters (`reach`); box (4, n): lower and upper limits, the answer to be explained [rad], weights.
+        """
         from .planar_2r_steps import derive_planar
 
         return derive_planar(robot, p, T, box)

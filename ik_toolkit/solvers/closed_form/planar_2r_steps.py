@@ -17,11 +17,15 @@ LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen alo
 
 
 def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches for the position of T (4, 4); box: limits, reference, weights (see `copy_limits`)."""
+    """Return the formulas and branches of two parallel revolute axes for the position of T (4, 4).
+
+    p: the arm's parameters (`reach`); box (4, 2): lower and upper limits, the answer to be explained [rad], weights.
+    """
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
     count, _ = list_planar(p, T, box, q, broken, marks)
     angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.
-    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]  # The point in the arm's plane, and its height above it.
+    # x and y of the target in the arm's plane, and its height above the plane
+    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]
     sheet = Worksheet()
     l1 = sheet.given("l1", p[L1], "m", "first link")
     l2 = sheet.given("l2", p[L2], "m", "second link, to the tip")

@@ -14,20 +14,20 @@ from ...kernel.serial import make_serial
 
 DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
 SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
-# [rad] A solution that exceeds a limit by less may lie on the limit, because merging solutions are known only to the root of
-# rounding.
+# [rad] A solution that exceeds a limit by less is tried on the limit: where solutions merge, they are known only to the square root
+# of the rounding error.
 BORDER = 1e-4
 DISTINCT = 1e-3  # [rad] a solution moved onto a limit is left out if another solution in the list is nearer than this
 
 
 @build
 def polish(rows, ends, opt, T, q, fixed, steps, most):
-    """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits by at most `steps` damped Newton steps.
+    """Improve q (n,) [rad or m] for the target T (4, 4), inside the limits, by at most `steps` damped Newton steps.
 
-    The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error
-    of one. `fixed` is the index of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
-    any). The steps end when both errors are at most a thousandth of their tolerances. Returns both errors of q [m],
-    [rad] (inf if q was not evaluated) and the number of evaluations made.
+    Each error counts in units of its tolerance, so that a step into both tolerances is preferred to a smaller error of one. The
+    steps end when both errors are at most a thousandth of their tolerances. rows, ends, opt: geometry, limits and options of the
+    chain; fixed: index of a joint that is not moved, or -1; most: number of evaluations allowed (inf: any). Returns both errors of
+    q [m], [rad] (inf if q was not evaluated) and the number of evaluations made.
     """
     n = q.shape[0]
     return newton(
@@ -37,7 +37,10 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """Carry out the steps of `polish`; p: the problem, old (n,): scratch; the other arguments are those of `polish`."""
+    """Do what `polish` does, with a problem p (`kernel.serial`) that is already made of the chain.
+
+    old (n,) is scratch; the other arguments and the results are those of `polish`.
+    """
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0
@@ -98,7 +101,10 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 
 @inner
 def near_a_row(table, count, q):
-    """Return whether one of the first rows of the table of `list_branches` is nearer to q (n,) than DISTINCT in every joint."""
+    """Return whether one of the first `count` solutions in a table is nearer to q (n,) than DISTINCT in every joint.
+
+    table (K, 3 + n): rows as `list_with` writes them.
+    """
     for row in range(count):
         apart = 0.0
         for i in range(q.shape[0]):
@@ -110,30 +116,30 @@ def near_a_row(table, count, q):
 
 @cached
 def list_branches(rows, ends, opt, T, start, branches, table, signs):
-    """Do what `list_with` does, with a problem of its own for the chain (rows, ends)."""
+    """List the branches of a target as `list_with` does, given the arrays rows, ends of the chain instead of a problem."""
     p = make_serial(rows, ends, opt[SIZE.orders :], start.shape[0], read(Orders, opt))
     return list_with(p, np.empty((2, start.shape[0])), opt, T, start, branches, table, signs)
 
 
 @inner
 def list_with(p, work, opt, T, start, branches, table, signs):
-    """Fill table (K, 3 + n) and signs (K, 3) with the branches that count, nearest to `start` (n,) first.
+    """Fill table (K, 3 + n) and signs (K, 3) with the branches of a closed form that are solutions, nearest to `start` (n,) first.
 
-    A branch counts if it exceeds no limit and after `polish` meets the tolerances of T (4, 4). One that exceeds limits by less than
-    BORDER is put on them, and counts if it then meets the tolerances.
+    A branch is a solution if it exceeds no limit and after `polish` meets the tolerances of T (4, 4). One that exceeds limits by
+    less than BORDER is put on them first.
 
     Args:
-        p: Problem of the chain.
+        p: Problem (`kernel.serial`) of the chain.
         work: Scratch (2, n).
-        opt: Options, as for `polish`.
+        opt: Option array (`records.Orders`).
         T: Target (4, 4).
         start: Configuration (n,) from which distances are measured.
         branches: `fixed` and `steps` of `polish`; branches Q (K, n), by how much each exceeds limits (K,), and its signs (K, 3).
         table: Receives position error [m], rotation error [rad], distance from `start` (angles [rad], lengths over the scale), q.
-        signs: Receives the signs of the branches that count.
+        signs: Receives the signs of these branches.
 
     Returns:
-        The number of branches that count, and the number inside the limits.
+        The number of solutions, and the number of branches inside the limits.
     """
     fixed, steps, Q, broken, marks = branches
     n, box, o = Q.shape[1], p.ends, read(Orders, opt)
@@ -172,10 +178,10 @@ def list_with(p, work, opt, T, start, branches, table, signs):
 
 @cached
 def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
-    """Polish the rows of starts (K, n) one by one until one meets the tolerances of T (4, 4), and leave that one in q (n,).
+    """Improve the rows of starts (K, n) by `polish`, one by one, until one meets the tolerances of T (4, 4); that one is left in q.
 
-    `most` is the number of evaluations allowed in all (inf: any). Returns the errors [m] and [rad] of q (inf if no row
-    meets the tolerances), and the number of evaluations made.
+    rows, ends, opt, fixed, steps: as for `polish`; most: number of evaluations allowed in all (inf: any). Returns the errors [m]
+    and [rad] of q (n,) (inf if no row meets the tolerances), and the number of evaluations made.
     """
     evaluations = 0
     for k in range(starts.shape[0]):

@@ -15,11 +15,13 @@ from .geometry import legal_turn
 
 # Both elbow branches count as one if the sine of the elbow angle is below 1e-7; the error is 1e-15 of the arm's length.
 MERGED = 1e-7
-ON_AXIS = 1e-12  # An angle about an axis is free if the point is nearer to the axis than this fraction of the lengths.
-EDGE = 1e-13  # Rounding allowed in a reach test, as a fraction of the lengths.
-# Indices in the parameters, after the transform base -> arm plane (12): the lengths and the height.
-# From ANGLES on, each angle has sign and offset: theta = sign q + offset.
-# NEARLY tells whether the axes are only nearly parallel.
+ON_AXIS = (
+    1e-12  # An angle is free if the point it is to turn is nearer to the axis than this share of the link lengths.
+)
+EDGE = 1e-13  # rounding allowed in a test of reach, as a share of the link lengths
+# Indices in the array p of a planar arm's parameters, after the transform from the base to the arm's plane (12): both link lengths
+# and the height of the plane [m]. From ANGLES on, each joint has a sign and an offset: theta = sign q + offset. NEARLY tells
+# whether the axes are only nearly parallel.
 L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
 FOLDED = 1e-9  # The links count as folded onto the base if the tip is nearer to it than this fraction of their lengths.
 
@@ -32,7 +34,7 @@ def wrap(x):
 
 @shared
 def elbow(r, l1, l2):
-    """Return the elbow angle in 0..pi of two links that span the distance r, accurate also at both ends of the reach."""
+    """Return the elbow angle, 0 to pi, of two links l1 and l2 that span the distance r, accurate also at both ends of the reach."""
     a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # a is 2 l1 l2 (1 - cos), without cancellation
     b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # b is 2 l1 l2 (1 + cos), without cancellation
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
@@ -40,16 +42,17 @@ def elbow(r, l1, l2):
 
 @shared
 def planar_margin(x, y, l1, l2):
-    """Return the distance [m] of a point inside (positive) or outside (negative) the ring that two links reach."""
+    """Return how far [m] the point x, y is inside (positive) or outside (negative) the ring that two links l1, l2 [m] reach."""
     r = math.hypot(x, y)
     return min(l1 + l2 - r, r - abs(l1 - l2))
 
 
 @shared
 def planar_branches(x, y, l1, l2, near, sols):
-    """Fill sols (2, 2) with theta_1, theta_2 of the reachable point nearest (x, y); return the number of branches (1 or 2).
+    """Fill sols (2, 2) with theta_1, theta_2 of two links for the reachable point nearest (x, y); return their number, 1 or 2.
 
-    theta_2 > 0 comes first. Where the links fold back onto the base, theta_1 is free and taken from `near`.
+    l1, l2: link lengths [m]. theta_2 > 0 comes first. Where the links fold back onto the base, theta_1 is free and taken from
+    `near`.
     """
     r = math.hypot(x, y)
     size = l1 + l2
@@ -74,7 +77,7 @@ def planar_branches(x, y, l1, l2, near, sols):
 def to_plane(p, T):
     """Return x and y [m] of the position of T (4, 4) in the arm's plane, and its distance [m] from the plane.
 
-    p: the arm's parameters.
+    p: the parameters of a planar arm (see ANGLES in this file).
     """
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
@@ -84,9 +87,10 @@ def to_plane(p, T):
 
 @inner
 def joint_values(p, angles, box, q):
-    """Fill q (2,) with theta_1 and theta_2 (`angles`), each shifted by 2 pi k into its limits, nearest the reference box[2].
+    """Fill q (2,) with the joint values [rad] for theta_1 and theta_2 (`angles`), each shifted by 2 pi k into its limits.
 
-    p: the arm's parameters. Returns the largest excess over a limit [rad] and the weighted squared distance from the reference.
+    Of several shifts, the one nearest the reference is taken. p: the parameters of a planar arm; box (4, 2): lower limits, upper
+    limits, reference, weights. Returns the largest excess over a limit [rad] and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(2):
@@ -99,9 +103,10 @@ def joint_values(p, angles, box, q):
 
 @cached
 def list_planar(p, T, box, out, broken, marks):
-    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with their excess over limits, marks (2, 3) with their signs.
+    """Fill out (2, 2) with the joint values [rad] of the branches for the position of T (4, 4); return the number of branches.
 
-    Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.
+    Also returns whether the links fold back onto the base, which leaves the first angle free. broken (2,) receives the excess over
+    limits [rad], marks (2, 3) the signs of the elbow. p: the parameters of a planar arm; box (4, 2): limits, reference, weights.
     """
     x, y, off = to_plane(p, T)
     size = p[L1] + p[L2]
@@ -116,7 +121,10 @@ def list_planar(p, T, box, out, broken, marks):
 
 @shared
 def shoulder_in_tool(P, d):
-    """Return x, y, z [m] of the shoulder (0, 0, d) in the frame of the wrist pose P (12: rotation by rows, point)."""
+    """Return x, y, z [m] of the shoulder, at height d [m] on axis 1, in the axes of the wrist.
+
+    P (12,): the wrist pose seen from the shoulder at d = 0, rotation by rows, then point.
+    """
     h = d - P[11]
     x = P[6] * h - P[0] * P[9] - P[3] * P[10]
     y = P[7] * h - P[1] * P[9] - P[4] * P[10]
@@ -126,9 +134,9 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift (prismatic joint) d.
+    """Return how far [m] a wrist pose P is inside (positive) or outside (negative) the reach, its orientation kept.
 
-    The orientation of P counts as fixed.
+    P, d: as for `shoulder_in_tool`; a4, a6: link lengths [m].
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -137,10 +145,11 @@ def inspection_margin(P, d, a4, a6):
 
 @shared
 def inspection_nearest(P, d, a4, a6):
-    """Move the point of P to the nearest one reachable at lift (prismatic joint) d; return the distance [m].
+    """Move the point of a wrist pose P to the nearest one in reach, the orientation kept; return how far [m] it was moved.
 
-    The orientation is kept. In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6,
-    tube of radius a4), except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
+    In the wrist's axes the shoulder can be anywhere in a torus about the z axis (circle of radius a6, tube of radius a4), except
+    where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface. P, d: as for
+    `shoulder_in_tool`.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -165,11 +174,11 @@ def inspection_nearest(P, d, a4, a6):
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Return what all branches of a wrist pose P at lift (prismatic joint) d share: the geometry of elbow and wrist.
+    """Return what all branches of a wrist pose P share: the geometry of elbow and wrist.
 
-    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the angles `inner`
-    and `heading` (from which `wrist` computes theta_7), and theta_5's sine and cosine. P must be reachable (see
-    inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
+    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the angles
+    `inner` and `heading` (from which `wrist` computes theta_7), and the sine and cosine of theta_5. P must be in reach from d (see
+    `inspection_nearest`); a theta_6 or theta_7 that is free is taken from `near` (6,). a4, a6: link lengths [m].
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -194,7 +203,7 @@ def forearm(P, d, a4, a6, near):
 def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
     """Return cos(theta_5), theta_5, theta_6, theta_7 of elbow branch k6 and wrist branch k5 (0 or 1 each).
 
-    The other arguments are what `forearm` returns.
+    The other arguments are what `forearm` returns for the wrist pose.
     """
     e6 = 1.0 - 2.0 * k6
     t6, t7 = bend if on_six else e6 * bend, e6 * inner - heading
@@ -208,8 +217,8 @@ def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
 def shoulder(P, c5, s5, phi, given, t1):
     """Return the tilt (sine of the angle between axes 1 and 4), and theta_1, theta_3, theta_4 of the first shoulder branch.
 
-    phi = theta_6 + theta_7. theta_1 is t1 if `given`, or if the tilt is 0 and theta_1 therefore free. The second branch is theta_1
-    + pi, -theta_3, theta_4 + pi.
+    P: as for `shoulder_in_tool`; c5, s5: cosine and sine of theta_5; phi = theta_6 + theta_7. theta_1 is t1 if `given`, or if the
+    tilt is 0 and theta_1 therefore free. The second branch is theta_1 + pi, -theta_3, theta_4 + pi.
     """
     cp, sp = math.cos(phi), math.sin(phi)
     m02 = -(P[0] * sp + P[1] * cp)
@@ -230,7 +239,7 @@ def shoulder(P, c5, s5, phi, given, t1):
 
 @shared
 def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
-    """Fill row (6,) with the six revolute angles theta of shoulder branch k3 (0 or 1)."""
+    """Fill row (6,) with theta_1, theta_3 to theta_7 of shoulder branch k3 (0 or 1), given those of branch 0, in -pi..pi."""
     row[0] = wrap(t1 + k3 * math.pi)
     row[1] = t3 * (1.0 - 2.0 * k3)
     row[2] = wrap(t4 + k3 * math.pi)
@@ -241,11 +250,11 @@ def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
 
 @shared
 def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 for wrist pose P at lift (prismatic joint) d; return their number.
+    """Fill sols (8, 6) with theta_1, theta_3 to theta_7 of all branches of a wrist pose P; return their number.
 
-    There are eight if nothing merges: two each of wrist, elbow and shoulder. P must be reachable (see
-    inspection_nearest). A free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder
-    lies on axis 6, theta_7 if it lies on axis 7.
+    There are eight if none merge: two each of wrist, elbow and shoulder. P must be in reach from d (see `inspection_nearest`). A
+    free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder lies on axis 6, theta_7 if on axis
+    7.
     """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     count = 0
@@ -261,9 +270,9 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with branch k = 0..7 at lift (prismatic joint) d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
+    """Fill row (6,) with theta_1, theta_3 to theta_7 of branch k (0 to 7), which vary smoothly with the lift d [m].
 
-    For a given k the angles vary smoothly with the lift.
+    Bits 0, 1 and 2 of k choose shoulder, wrist and elbow. Other arguments as for `inspection_branches`.
     """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
@@ -273,11 +282,11 @@ def inspection_branch(P, d, a4, a6, near, k, row):
 
 @shared
 def level_arm(P, d, free, a4, a6, k, near, row):
-    """Fill row (6,) with a configuration whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift and error [m].
+    """Fill row (6,) with the angles of a configuration whose axes 1 and 4 are parallel, at theta_1 = near[0].
 
-    Only a pose P whose z axis is perpendicular to axis 1 has such configurations. If `free`, the lift (prismatic joint) follows
-    from theta_6, otherwise it is d. The error [m] is how far the arm then is from P. Bits 0, 1, 2 of k = 0..7 choose the sign of
-    cos(theta_3), the elbow and the wrist.
+    Only a wrist pose P whose z axis is perpendicular to axis 1 has such configurations. If `free`, the lift (value of the
+    prismatic joint) follows from theta_6, otherwise it is d. Bits 0, 1 and 2 of k (0 to 7) choose the sign of cos(theta_3), the
+    elbow and the wrist. Returns the lift, and how far [m] the arm then is from P. a4, a6: link lengths [m].
     """
     up = 1.0 - 2.0 * (k % 2)  # sign of cos(theta_3)
     phi = math.atan2(up * P[6], up * P[7])
@@ -300,7 +309,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
 
 @cached
 def many_branches(P, lifts, a4, a6, near, sols):
-    """Return the total number of branches of wrist poses P (N, 12) at lifts (N,) [m]. Only benchmarks use it."""
+    """Return the total number of branches of wrist poses P (N, 12) at lifts (N,) [m]; only benchmarks use this function."""
     count = 0
     for k in range(P.shape[0]):
         count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)
@@ -322,7 +331,10 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return a lift (prismatic joint) where P just becomes reachable, between `outside` (unreachable) and `inside` (reachable)."""
+    """Return the lift [m] where a wrist pose P just comes into reach, by bisection between `outside` and `inside`.
+
+    P is out of reach from the first and in reach from the second; a4, a6: link lengths [m].
+    """
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:
@@ -334,7 +346,7 @@ def reach_edge(P, a4, a6, outside, inside):
 
 @shared
 def keep_interval(out, count, a, b, low, high):
-    """Append [a, b] clipped to [low, high] to out unless nothing is left; return the new count."""
+    """Write the part of [a, b] within [low, high] to row `count` of `out`, unless it is empty; return the new number of rows."""
     a, b = max(a, low), min(b, high)
     if a <= b:
         out[count, 0] = a
@@ -345,10 +357,11 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the intervals of the lift (prismatic joint), in [low, high], that reach P; return how many (0 to 2).
+    """Fill out (2, 2) with the intervals of the lift [m], between low and high, that reach a wrist pose P; return their number.
 
-    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide the
-    lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to rounding.
+    P is in reach where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide the
+    lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to rounding. a4,
+    a6: link lengths [m].
     """
     wx, wy, wz, az = P[9], P[10], P[11], P[8]
     p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az
@@ -371,26 +384,3 @@ def lift_intervals(P, a4, a6, low, high, out):
         a = reach_edge(P, a4, a6, between, last)
         count = keep_interval(out, count, a, reach_edge(P, a4, a6, wz + far, last), low, high)
     return count
-
-
-@shared
-def nearest_lift(P, a4, a6, low, high):
-    """Return the lift (prismatic joint) in [low, high] at which the arm, its orientation kept, comes nearest to the wrist pose P.
-
-    P is not reachable from any lift in that range.
-    """
-    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts farther away than this only increase the distance
-    low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
-    best, step = low, (high - low) / 64.0
-    for k in range(1, 65):
-        d = low + k * step
-        if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
-            best = d
-    a, b = max(best - step, low), min(best + step, high)
-    for _ in range(60):  # golden section search for the lift
-        u, v = b - 0.6180339887498949 * (b - a), a + 0.6180339887498949 * (b - a)
-        if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
-            a = u
-        else:
-            b = v
-    return 0.5 * (a + b)

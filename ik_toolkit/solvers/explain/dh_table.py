@@ -12,13 +12,17 @@ from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
 from .layout import Block, Sentence, Table, Variable, decimals, digits
 
-# Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
+# Axes count as parallel if the sine of the angle between them is smaller, and as meeting if their distance over the reach is
+# smaller.
 SAME = 1e-7
-AGREES = 1e-6  # [rad, or length over the reach] largest difference between table and robot
+AGREES = 1e-6  # [rad, or length over the reach] largest difference allowed between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:
-    """Return the D-H table whose rows are the robot's joints in order, or None if there is none (as with mimic joints)."""
+    """Return the D-H table with a row for each joint of a robot: its own table file, or one read off the joint axes.
+
+    None if neither gives the kinematics of the robot, as with mimic joints.
+    """
     entry = shipped_robots().get(robot.name)
     if entry is not None and entry.dh_file is not None:
         table = read_dh_table(entry.dh_file)
@@ -124,7 +128,7 @@ def _next(
         foot = across(z, point - origin)
         far = float(np.linalg.norm(foot))
         return _frame(after, foot / far if far > near else x, origin + (foot if far > near else 0.0))
-    # The feet of the common normal, origin + s z and point + t after, differ by a multiple of the normal.
+    # The feet of the common normal are origin + s z and point + t after; they differ by a multiple of the normal.
     s, t, gap = np.linalg.solve(np.column_stack([z, -after, normal]), point - origin)
     normal = normal / np.linalg.norm(normal)
     meets = abs(gap) * np.linalg.norm(np.cross(z, after)) <= near

@@ -20,17 +20,18 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import Branch, WorkedSolution
 
-# Newton steps on the actual chain correct errors up to 1e-3 of the reach, as EAIK has near singular poses.
+# A branch listed by EAIK is shown if its position error over the reach is smaller; near singular poses Newton steps correct errors
+# of that size.
 NEARLY = 1e-3
-# An answer this close to a branch [rad, or length over the reach] counts as it; Newton steps move the branches of an approximate
-# fit.
+# An answer that differs less from a branch [rad, or length over the reach] counts as that branch. Newton steps move the branches of
+# a robot that fits approximately.
 SAME = 1e-6
 
 
 def explain_result(result: Any) -> Explanation:
-    """Explain a result.
+    """Return the Explanation of a Result: D-H table, closed form with its numbers, branches and iterations.
 
-    Raises InvalidTarget for a result that keeps no target (a solved row of a batch), MissingExtra if sympy is not installed.
+    Raises InvalidTarget for a result that keeps no target (a solved row of a batch), MissingExtra if SymPy is not installed.
     """
     of = result._of
     if not of.T.size:
@@ -41,7 +42,7 @@ def explain_result(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (KIND.pose,) else of.T[0][:3, 3]
-        if not solution.steps:  # EAIK shows no steps, and some of its branches do not match
+        if not solution.steps:  # a form without formulas, as EAIK, may list branches that miss the target
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)
@@ -49,7 +50,7 @@ def explain_result(result: Any) -> Explanation:
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
-        # the search that found the answer after the closed form had failed is run again
+        # the search found the answer after the closed form had failed, and is run again to show its iterations
         iterations = _iterations(_run(of, plan.search()) if plan.row.closed else of, type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))

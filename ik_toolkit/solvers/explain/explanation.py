@@ -29,9 +29,9 @@ from .worked_solution import Branch, WorkedSolution
 
 
 class Iterations(NamedTuple):
-    """How an iterative solver found its answer: each evaluation of the winning attempt.
+    """The iterations of the attempt in which an iterative solver found its answer, a row for each evaluation.
 
-    The arrays are position (K,) [m], orientation (K,) [rad] (NaN where it is free) and q (K, n) [rad or m].
+    The arrays are position (K,) [m] and orientation (K,) [rad] errors (NaN where it is free), and q (K, n) [rad or m].
     """
 
     solver: str
@@ -105,7 +105,7 @@ class Explanation:
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
-        """Yield the formulas of branch k with their numbers."""
+        """Yield the formulas that lead to branch k of the closed form, with their numbers."""
         assert self.worked is not None
         made = self.worked
         if made.words:
@@ -122,7 +122,7 @@ class Explanation:
             yield Sentence(f"Source: {self.source}.")
 
     def free_words(self) -> str:
-        """Return a sentence or two on the feasible values of the joint that may be chosen."""
+        """Return a sentence or two on the values that a joint left free by the target may take."""
         assert self.worked is not None and self.worked.free is not None
         free = self.worked.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])

@@ -11,8 +11,9 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
-BREAK = "\v"  # marks in MathML where a line may end
-# The pattern SLOT matches the places in a written formula where the number of a symbol is put, with or without parentheses.
+BREAK = "\v"  # character put into MathML where a line may end
+# SLOT matches a placeholder in a written formula: the name of the symbol whose number goes there, and whether a negative number
+# needs parentheses.
 SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
@@ -100,7 +101,7 @@ def written(expression: Any, form: str) -> str:
 
 
 def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
-    """Write an expression, unsimplified, with symbols replaced by texts such as '-12.5 deg' (by symbol name)."""
+    """Write a SymPy expression, unsimplified, with texts such as '-12.5 deg' (given by symbol name) in place of its symbols."""
 
     def put_in(found: re.Match[str]) -> str:
         text = texts.get(found[1], "180 deg")

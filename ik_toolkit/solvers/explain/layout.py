@@ -10,21 +10,21 @@ from typing import NamedTuple
 from ...style import BAD, MUTED
 from .worked_solution import WorkedStep
 
-WIDTH = 80  # number of columns of the text
+WIDTH = 80  # width of the plain text, in characters
 UNITS = {"m": "mm", "rad": "deg", "": ""}  # units in which values in m, rad or 1 are shown
 SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # factors from values in m, rad or 1 to these units
 
 
 class Title(str):
-    """A title above other parts."""
+    """A title in an explanation."""
 
 
 class Sentence(str):
-    """One or two sentences."""
+    """A paragraph of one or two sentences in an explanation."""
 
 
 class Variable(str):
-    """A cell with the value of a joint's own variable in a D-H table."""
+    """A cell of a D-H table that shows the present value of the joint's variable, and is marked."""
 
 
 class OutsideLimits(str):
@@ -32,14 +32,17 @@ class OutsideLimits(str):
 
 
 class Table(NamedTuple):
-    """A table of texts: column heads and rows."""
+    """A table in an explanation: texts of the column heads and of the cells by rows."""
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
 
 
 class Equations(NamedTuple):
-    """Steps of a calculation; formulas may use symbols of the steps `before`; places: decimals of a millimetre to show."""
+    """Steps of a calculation in an explanation, shown as equations.
+
+    Formulas may use symbols of the steps `before`; places: decimals of a millimetre to show.
+    """
 
     steps: tuple[WorkedStep, ...]
     before: tuple[WorkedStep, ...]
@@ -69,11 +72,10 @@ def digits(value: float, unit: str, places: int) -> str:
 
 # --------------------------------------------------------------------------------------------------------------- equations
 def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
-    """Yield groups of equations that belong together, each with its first step.
+    """Yield the equations of a block in groups, each with the step that begins it, written in a form of `expression.written`.
 
-    An equation is a list of its sides, written in a form of `expression.written`. A step with a formula is a group of its
-    own with one equation: symbol, formula, formula with numbers, value with unit. A given number without words joins the
-    group of given numbers before it.
+    An equation is a list of its sides. A step with a formula is a group of its own with one equation: symbol, formula, formula
+    with numbers, value with unit. A given number without words joins the group of given numbers before it.
     """
     # SymPy is imported here, because only explanations need it.
     from .expression import quantity, with_numbers, written
@@ -104,7 +106,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[
 
 # -------------------------------------------------------------------------------------------------------------- plain text
 def blocks_to_text(blocks: Iterable[Block]) -> str:
-    """Write parts as plain text, 80 columns wide."""
+    """Return the parts of an explanation as plain text, 80 columns wide."""
     lines: list[str] = []
     for block in blocks:
         if isinstance(block, Title):
@@ -125,7 +127,7 @@ def _equation_lines(block: Equations) -> Iterator[str]:
         if step.formula is None:
             yield from _wrapped(", ".join(map(" = ".join, group)) + said, "  ", 6)
             continue
-        if opening:  # the given numbers end here, and the formulas begin
+        if opening:  # an empty line between the given numbers and the formulas
             yield ""
             opening = False
         name, *sides = group[0]
@@ -176,7 +178,7 @@ def _aligned(table: Table, shown: list[int]) -> list[str]:
 
 # ---------------------------------------------------------------------------------------------------------------- Markdown
 def to_markdown(blocks: Iterable[Block]) -> str:
-    """Write parts as Markdown with the equations in LaTeX."""
+    """Return the parts of an explanation as Markdown with the equations in LaTeX."""
     return "\n\n".join(part for block in blocks for part in _markdown(block))
 
 
@@ -210,7 +212,10 @@ def _plain(text: str) -> str:
 
 # -------------------------------------------------------------------------------------------------------------------- HTML
 def to_html(blocks: Iterable[Block]) -> str:
-    """Write parts as HTML with the equations in MathML, which browsers draw without a library. All text is escaped."""
+    """Return the parts of an explanation as HTML with the equations in MathML, which browsers draw without a library.
+
+    All text is escaped.
+    """
     inner = "".join(map(_html, blocks))
     return f'<div style="padding:2px 12px 8px;font-size:13px;line-height:1.5">{inner}</div>'
 

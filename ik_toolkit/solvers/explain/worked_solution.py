@@ -6,11 +6,10 @@ import numpy as np
 
 
 class WorkedStep(NamedTuple):
-    """One line of a calculation.
+    """One line of a calculation: a symbol, and the number or the formula that it stands for.
 
-    `symbol` is the SymPy symbol that gets a value; `formula` a SymPy expression in the symbols of earlier steps, or
-    None if the value is given; the value is in m, rad or 1, as `unit` ('m', 'rad' or '') says; `words` describe the
-    symbol, or are ''.
+    `symbol` is a SymPy symbol; `formula` a SymPy expression in the symbols of earlier steps, or None if the value is given;
+    `value` is in m, rad or 1, as `unit` ('m', 'rad' or '') says; `words` describe the symbol, or are ''.
     """
 
     symbol: Any
@@ -31,7 +30,10 @@ class WorkedStep(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """One solution: label, q (n,) [rad or m], the names of joints outside their limits, and the steps of this branch alone."""
+    """One solution of a closed form, to be shown.
+
+    It has a label, q (n,) [rad or m], the names of joints outside their limits, and the steps of the calculation for it alone.
+    """
 
     label: str
     q: np.ndarray

@@ -11,7 +11,10 @@ from .worked_solution import WorkedStep
 
 
 class Worksheet:
-    """Steps in the order in which they are computed; each call adds one and returns its symbol for the formulas that follow."""
+    """The steps of a calculation in the order in which they are computed.
+
+    Each call adds a step and returns its symbol, which the formulas of later steps may use.
+    """
 
     def __init__(self, before: Sequence[WorkedStep] = ()) -> None:
         """Start an empty sheet, whose formulas may use the symbols of the steps `before`."""
@@ -64,7 +67,10 @@ class Worksheet:
 
 
 def zero_angles(sheet: Worksheet, offsets: dict[str, float]) -> dict[str, Any]:
-    """Add alpha_1 ..., the angles [rad] of theta_1 ... at q = 0 that are not zero; return the symbol, or 0, of each theta."""
+    """Add steps alpha_1, ... to a worksheet: the angles [rad] that theta_1, ... have at q = 0, where these are not zero.
+
+    offsets: these angles by the name of theta. Returns for each theta the symbol of its alpha, or 0.
+    """
     made = {}
     for name, offset in offsets.items():
         zero = abs(offset) < 1e-12  # [rad] smaller offsets are rounding

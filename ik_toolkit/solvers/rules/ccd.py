@@ -9,7 +9,10 @@ from ..protocol import Asked, rule
 
 @compiled
 class Sweep(NamedTuple):
-    """The compiled step of CCD; it has a field because numba passes no NamedTuple without one."""
+    """The compiled step of CCD: one sweep over all joints.
+
+    It has a field because numba passes no NamedTuple without one.
+    """
 
     least: float  # a joint whose motion gives the tip a smaller squared speed than this counts as not moving it
 
@@ -31,7 +34,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # a trial needs two evaluations: its own, and one to undo it
+            if not s.affords(2):  # a trial needs one evaluation, and another one to undo it
                 cut = True
                 break
             s.q[i] = new
@@ -49,13 +52,13 @@ class Sweep(NamedTuple):
 
 @rule(step=Sweep)
 class CCD(NamedTuple):
-    """Cyclic coordinate descent: each joint in turn, tip first, moves the tip as near the target as it can.
+    """Cyclic coordinate descent: each joint in turn, the one nearest the tip first, moves the tip as near the target as it can.
 
-    For a position the best move of a joint has a closed form. For a pose each joint takes the least-squares step on the
-    six errors instead, which is kept if the error falls; several tips are treated as a pose. Source: Wang and Chen,
-    IEEE Trans. Robotics and Automation 7 (1991); Olsen and Petersen (2011) for positions.
+    For a position the best move of a joint has a closed form. For a pose each joint takes the least-squares step on the six errors
+    instead, which is kept if the error falls. Several tips are treated as poses are. Source: Wang and Chen, IEEE Trans. Robotics
+    and Automation 7 (1991); Olsen and Petersen (2011) for positions.
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:
-        """Return the compiled step as a NamedTuple."""
+        """Return the compiled step of CCD, which is the same for every robot and task."""
         return Sweep(1e-14)

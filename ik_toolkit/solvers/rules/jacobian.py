@@ -18,7 +18,7 @@ FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inver
 
 
 def negative(name: str, value: Any) -> str:
-    """Return why a rule refuses a negative parameter, or ''; a value that is not a number is refused elsewhere."""
+    """Return a text that says that the parameter `name` must be at least 0, or '' if `value` is not a negative number."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -37,11 +37,11 @@ class LM(NamedTuple):
     wrap = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task or work with its parameters, or '' if it can."""
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
-        """Return the compiled function that solves eight targets at once, see `kernel.simd_search.lanes`."""
+        """Return the compiled function that solves eight targets side by side, see `kernel.simd_search.lanes`."""
         from ...kernel.simd_search import lanes
 
         return lanes()
@@ -67,7 +67,7 @@ class DLS(NamedTuple):
     hold: bool = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task or work with its parameters, or '' if it can."""
         return negative("damping", self.damping)
 
     def step(self, p, e):
@@ -91,7 +91,7 @@ class Pinv(NamedTuple):
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task or work with its parameters, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -120,7 +120,7 @@ class Transpose(NamedTuple):
     gain: float = 1.0
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task or work with its parameters, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -148,7 +148,7 @@ class Transpose(NamedTuple):
 
 @compiled
 class Inverse(NamedTuple):
-    """The compiled step of Newton-Raphson."""
+    """The compiled step of Newton-Raphson: the Jacobian is inverted by LU decomposition."""
 
     trials: float  # highest number of trials of the line search; 0 takes the whole step without a trial
 
@@ -166,9 +166,9 @@ class Inverse(NamedTuple):
         return self.shorten(p, e) if self.trials > 0.0 else 0
 
     def shorten(self, p, e):
-        """Halve the step s.dq until it lowers the squared error e.ee inside the limits.
+        """Halve the step s.dq until it lowers the squared error e.ee inside the limits; if no such step is found, it becomes 0.
 
-        If no such step is found, s.dq becomes 0.
+        Returns WAITING if the evaluations run out first, else 0. s = p.desk is the scratch of the problem p; e: the errors at s.q.
         """
         s = p.desk
         for i in range(s.q.shape[0]):
@@ -203,7 +203,7 @@ class Newton(NamedTuple):
     line_search: bool = False
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task or work with its parameters, or '' if it can."""
         switch(self.line_search, "line_search")
         n = asked.robot.n
         if asked.rows == n:
@@ -213,5 +213,5 @@ class Newton(NamedTuple):
         )
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
-        """Return the compiled step as a NamedTuple."""
+        """Return the compiled step of Newton-Raphson, with the number of trials of its line search."""
         return Inverse(40.0 if self.line_search else 0.0)  # After 40 halvings a trial is 1e-12 of the whole step.

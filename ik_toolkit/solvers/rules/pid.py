@@ -14,7 +14,8 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, start_parameter
 
-UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # factor that converts a gain in these units to rad/m
+# for each system of units, the factor that converts a gain to rad per metre of error
+UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}
 
 
 # A trial must improve the error by more than 1e-14 of the length scale, which is above rounding.
@@ -23,9 +24,9 @@ ROUNDING = 1e-14
 
 @compiled
 class Gains(NamedTuple):
-    """The compiled step of PID, with its gains for lengths divided by the robot's scale.
+    """The compiled step of IK-PID: one sweep over all joints. Its gains are for lengths divided by the scale of the robot.
 
-    Its state p.desk.x holds the sum of the error norms so far, the last error norm, and whether there is a last one.
+    In p.desk.x it keeps the sum of the error norms so far, the last error norm, and whether there is a last one.
     """
 
     kp: float
@@ -63,7 +64,8 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                # On ties the joint does not move. A roll joint at the tip, for example, does not change a position.
+                # If no trial lowers the error, the joint does not move; a roll joint at the tip, for example, does not change a
+                # position.
                 if value < least - ROUNDING:
                     least = value
                     kept = s.q[i]
@@ -114,12 +116,15 @@ class PID(NamedTuple):
         return cls(**values)._replace(tuned=options)
 
     def options(self) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset."""
+        """Return the tolerance and iteration limit of the preset from which the rule was made, or nothing."""
         return dict(self.tuned or {})
 
     @classmethod
     def space(cls, robot: Any, position_only: bool, initial: "PID | None" = None) -> Space:
-        """Return the parameters to tune: the gains on log scales, and one start."""
+        """Return what `ik tune` searches: the gains on log scales, one start and, for poses, the orientation scale.
+
+        initial: the rule from which the search starts, by default one with default gains.
+        """
         initial = initial or cls()
         packed = np.array(initial.pack(robot)) / robot.chain.scale
         kp, ki, kd = (float(x) for x in packed[:3])
@@ -145,7 +150,7 @@ class PID(NamedTuple):
         return None if self.starts is None else check_starts("pid", self.starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Gains:
-        """Return the compiled step, with the gains for lengths divided by the robot's scale, and the orientation scale."""
+        """Return the compiled step, with the gains and the orientation scale for lengths divided by the scale of the robot."""
         if self.units not in UNITS:
             raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
         n, scale = robot.n, robot.chain.scale

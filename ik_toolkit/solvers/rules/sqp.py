@@ -15,7 +15,7 @@ from .jacobian import FLOOR
 
 
 def posture_groups(starts: np.ndarray) -> np.ndarray:
-    """Return configurations (N, n) ordered so that each of BEST interleaved groups holds similar postures.
+    """Return configurations (N, n) reordered so that rows k, k + BEST, k + 2 BEST, ... hold similar postures, for k < BEST.
 
     The groups come from repeated halving at the median of the joint that varies most.
     """
@@ -28,7 +28,7 @@ def posture_groups(starts: np.ndarray) -> np.ndarray:
 
 @compiled
 class Tolerances(NamedTuple):
-    """The two tolerances, which are the only options that `aim` reads."""
+    """The two tolerances that a problem reads when its target is set (`aim`)."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]
@@ -36,12 +36,13 @@ class Tolerances(NamedTuple):
 
 @compiled
 class LevelStep(NamedTuple):
-    """The compiled step; level 0 has the highest priority."""
+    """The compiled step of SQP: the errors of level 0 have the highest priority, those of level 1 the next, and so on."""
 
-    numbers: Array  # number of attempts with all errors at one level, then the level of each group of errors (2 F,)
+    # number of attempts with all errors at one level, then the level of the position and the orientation of each tip (2 F,)
+    numbers: Array
 
     def aimed(self, p, T, orders):
-        # Only a position of level 0 proves a target out of reach, independently of the orientation.
+        # Only a position at level 0 proves a target out of reach: it does not depend on the orientation.
         return p.exact(p.aim(T, Tolerances(orders.tol_p, np.inf)), self.numbers[1:])
 
     def evaluated(self, p, q):
@@ -55,7 +56,7 @@ class LevelStep(NamedTuple):
         if int(p.desk.spent[2]) == PHASE.at_once:
             p.damped(e, QUADRATIC.damping * e.ee + FLOOR)
             return 0
-        # Once level 0 is in tolerance it is a constraint, even if it was judged out of reach before.
+        # Once the errors of level 0 are in tolerance they are a constraint, even if the target was judged out of reach before.
         return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == PHASE.out_of_reach and not e.ee < 0.0)
 
     def seek(self, p, job, excess):
@@ -76,7 +77,10 @@ class SQP(NamedTuple):
     wrap = True
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray:
-        """Return starts (M, n) [rad or m], in groups of similar postures, because similar starts find the same minimum."""
+        """Return configurations (M, n) [rad or m] at which attempts begin, in groups of similar postures.
+
+        Similar starts often lead to the same minimum.
+        """
         chain = robot.chain
         box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
         low, span, home = (np.array([read(i) for i in range(robot.n)]) for read in (box.low, box.span, box.home))
@@ -84,7 +88,7 @@ class SQP(NamedTuple):
         return posture_groups(starts) * chain.unit
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or '' if it can."""
+        """Return why the rule cannot solve this task with its options, or '' if it can."""
         o = asked.options
         if o.priority is not None and (o.closest or o.objective is not None):
             return f"takes no {'closest' if o.closest else 'objective'} with a priority"
@@ -99,11 +103,11 @@ class SQP(NamedTuple):
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the parameters of the compiled step, see `LevelStep`."""
+        """Return the array that is the field `numbers` of the compiled step `LevelStep`."""
         assert asked is not None
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
         if counted <= robot.n:
             plain = QUADRATIC.at_once
-        else:  # `asked.rows` computes Jacobians and singular values, which takes time, so it is used only here.
+        else:  # asked.rows computes Jacobians and singular values, which takes time
             plain = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)

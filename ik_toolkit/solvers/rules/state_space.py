@@ -23,24 +23,24 @@ from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
 # For each system of units: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# `numbers` of Maps begins with the counts of states and of linear maps (B, D), and two flags: whether D exists, and whether each
-# step chooses a map.
+# The array `numbers` of Maps begins with HEAD numbers: how many states and how many linear maps (B, D) there are, and two flags:
+# whether D exists, and whether each step chooses a map.
 HEAD = 4
-C_FIXED = -0.05  # C is not searched: (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
+C_FIXED = -0.05  # C need not be tuned, because (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
 SETTLED = 1e-13  # a state that changes by less than this in a step counts as settled
 
 
 class MapDesign(NamedTuple):
-    """Constants of the designed solver, which has a linear map (B, D) from error to joint step for each of many starts."""
+    """Constants of the solver designed for a robot if no matrices are given: many starts, each with a linear map (B, D)."""
 
     maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
-    # Jacobians are averaged within +- spread (share of a joint's range), at most radius [rad, or length over the reach].
+    # Jacobians are averaged within +- this share of a joint's range, and at most radius [rad, or length over the reach].
     spread: float = 0.15
     radius: float = 0.3
-    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, which is scaled by reach and joint ranges.
-    position_gain: float = 0.9  # Loop gain kappa at a start, for positions; at 2 the step is unstable.
+    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, whose columns are scaled by joint ranges.
+    position_gain: float = 0.9  # Loop gain kappa (see the top) at a start, for positions; at 2 the step is unstable.
     pose_gain: float = 0.6  # Loop gain kappa at a start, for poses.
 
 
@@ -51,15 +51,18 @@ DESIGN = MapDesign()
 class Maps(NamedTuple):
     """The compiled step of Algorithm II; a map is the pair of matrices (B, D) that belongs to one start.
 
-    Its state p.desk.x holds the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
+    In p.desk.x it keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
     """
 
-    numbers: Array  # 4 numbers (HEAD), 1 / (2 pi) or 0 per joint, A and C, then start, B and D of each map
+    numbers: Array  # HEAD numbers, then 1 / (2 pi) or 0 for each joint, A, C, and the start, B and D of each map
 
     JACOBIAN = False
 
     def nearest_map(self, q, first, width):
-        """Return the index of the linear map whose start is nearest q (n,)."""
+        """Return the index of the linear map whose start is nearest q (n,), angles modulo 2 pi.
+
+        first: index in `numbers` where the maps begin; width: how many numbers each has.
+        """
         numbers = self.numbers
         least, chosen = np.inf, 0
         for k in range(int(numbers[1])):
@@ -153,7 +156,7 @@ class StateSpace(NamedTuple):
         return cls(**values)._replace(tuned=options)
 
     def options(self) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset."""
+        """Return the tolerance and iteration limit of the preset from which the rule was made, or nothing."""
         return dict(self.tuned or {})
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
@@ -171,7 +174,10 @@ class StateSpace(NamedTuple):
     def space(
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
-        """Return what is tuned: one start and the published structure (maps=1), or starts with designed B and D (default 32)."""
+        """Return what `ik tune` searches, from the rule `initial` on: with maps=1 one start and the published matrices.
+
+        With more maps (default 32) it searches their starts, with matrices designed for these, and a gain.
+        """
         maps = DESIGN.tuned_maps if maps is None else maps
         if maps == 1:
             return _one_map(robot, position_only, initial)
@@ -183,7 +189,10 @@ class StateSpace(NamedTuple):
         return None if starts is None else check_starts("state-space", starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the matrices as numbers of the compiled step, lengths over the scale. Raises InvalidOption on wrong shapes."""
+        """Return the array that is the field `numbers` of the compiled step `Maps`, with lengths over the scale of the robot.
+
+        Raises InvalidOption on wrong shapes.
+        """
         position_only, given = (asked.position_only, asked.given) if asked is not None else (False, True)
         made = self.resolve(robot, position_only)
         if made.units not in UNITS:
@@ -259,7 +268,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
     J[:, :3] /= chain.scale
-    if not position_only:  # The orientation has the same weight as in the search's own table of starts.
+    if not position_only:  # The kernel's own table of starts gives the orientation the same weight.
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
     cell = np.zeros(len(Q), dtype=int)
@@ -300,7 +309,7 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
-    weight = np.minimum(width, 2.0 * chain.unit)  # These weights make joints move in proportion to their range.
+    weight = np.minimum(width, 2.0 * chain.unit)  # With these weights joints move in proportion to their range.
     W = J * weight
     inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
@@ -313,7 +322,7 @@ def _one_map(robot: Any, position_only: bool, initial: StateSpace | None) -> Spa
     """Return the parameters of the published structure: A = a I, B, C = -0.05 I, literal delay, one start."""
     n, scale, unit = robot.n, robot.chain.scale, robot.chain.unit
     start = robot.home[None]
-    if initial is None:  # a = -0.5 puts both poles at 0.25 for a loop gain of 0.5625.
+    if initial is None:  # With a = -0.5 and a loop gain of 0.5625 both poles are at 0.25.
         B = 0.5625 / C_FIXED * inverse_maps(robot, start, position_only)[0]
         initial = StateSpace(A=-0.5 * np.eye(n), B=B, C=C_FIXED * np.eye(n), starts=start)
     a, B = _plain(initial, n)
@@ -384,7 +393,7 @@ def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
     parameters = (
         start_parameter(robot, starts),
         Parameter("share", 0.0, 1.0, 0.0),
-        Parameter("kappa", 0.1, 1.4, 0.5625),  # initial value 0.5625, which puts both poles at 0.25 for a = -0.5
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # with a = -0.5 and the initial value 0.5625 both poles are at 0.25
         Parameter("a", -0.95, 0.6, a),
     )
     return Space(parameters, initial, make)
