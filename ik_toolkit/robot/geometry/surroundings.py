@@ -32,6 +32,8 @@ class Surroundings(ReadOnly):
     """The shapes of a CollisionModel that are not part of the robot; every change of a shape raises `version`."""
 
     robot: Any
+    pairs: Any
+    margins: Any
     _names: list[str]
 
     def __init__(self) -> None:
@@ -71,6 +73,14 @@ class Surroundings(ReadOnly):
     def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
         """Return the name, shape and pose (4, 4) [m] in the base frame of each obstacle."""
         return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
+
+    def contents(self) -> str:
+        """Return a text that differs for models in which other pairs, shapes or poses are tested."""
+        tools = [(str(shape), T.homogeneous.tolist()) for arm in self.robot.arms for shape, T in arm.tool_shapes]
+        shapes = [
+            (name, str(one.shape), one.T.tolist(), one.arm, sorted(one.touch)) for name, one in self._placed.items()
+        ]
+        return repr((self.pairs, self.margins.tolist(), tools, shapes))
 
     # ------------------------------------------------------------------------------------------------ obstacles
     def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
