@@ -29,6 +29,7 @@ from ..solvers.plan import Plan
 from ..solvers.solve import Solver
 from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
+from .targets import fingerprint
 
 
 class ReachabilityInterrupted(Portable, KeyboardInterrupt):
@@ -169,23 +170,9 @@ def reachability(
 
 def _question(robot: Robot, grid: Grid, options: str, world: CollisionModel | None) -> str:
     """Return a text that identifies a study, to recognise the file of an earlier run."""
-    import hashlib
-
-    digest = hashlib.sha256()
-    for array in (
-        grid.low,
-        grid.size,
-        grid.rotations,
-        grid.poses,
-        robot.lower,
-        robot.upper,
-        robot.chain.rows,
-        robot.chain.ends,
-    ):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    if world is not None:
-        digest.update(world.contents().encode())
-    about = [robot.name, robot.tip, robot.base, list(grid.shape), options, digest.hexdigest()]
+    of = "" if world is None else world.contents()
+    mark = fingerprint(robot, grid.low, grid.size, grid.rotations, grid.poses, of)
+    about = [robot.name, robot.tip, robot.base, list(grid.shape), options, mark]
     return json.dumps(about)
 
 
