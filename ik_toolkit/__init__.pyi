@@ -24,6 +24,7 @@ from .robot.tree import Tree as Tree
 from .servo.path_stability import least_rate as least_rate
 from .servo.path_stability import stability_chart as stability_chart
 from .servo.result import TrackResult as TrackResult
+from .servo.run import TrackInterrupted as TrackInterrupted
 from .servo.run import track as track
 from .servo.stability import best_gains as best_gains
 from .servo.stability import check_gains as check_gains
@@ -33,6 +34,7 @@ from .show.interact import interact as interact
 from .show.plot import plot as plot
 from .show.scene import view as view
 from .solvers.batch.result import BatchCheckFailed as BatchCheckFailed
+from .solvers.batch.result import BatchInterrupted as BatchInterrupted
 from .solvers.batch.solve_batch import solve_batch as solve_batch
 from .solvers.closed_form.inspection import Inspection as Inspection
 from .solvers.closed_form.planar_2r import Planar2R as Planar2R
@@ -54,15 +56,20 @@ from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.analyse import analyse as analyse
 from .study.analyse import gain_margins as gain_margins
+from .study.benchmark import BenchmarkInterrupted as BenchmarkInterrupted
 from .study.benchmark import benchmark as benchmark
 from .study.calibrate import calibrate as calibrate
 from .study.calibration import Calibration as Calibration
 from .study.newton_certificate import newton_certificate as newton_certificate
+from .study.place import PlaceInterrupted as PlaceInterrupted
 from .study.place import place as place
+from .study.reachability import MapNotSaved as MapNotSaved
+from .study.reachability import ReachabilityInterrupted as ReachabilityInterrupted
 from .study.reachability import reachability as reachability
 from .study.reachability_map import ReachabilityMap as ReachabilityMap
 from .study.suggest_poses import suggest_poses as suggest_poses
 from .study.tune import tune as tune
+from .study.workspace import WorkspaceInterrupted as WorkspaceInterrupted
 from .study.workspace import workspace as workspace
 
 __version__: str

@@ -35,7 +35,8 @@ class Result(ReadOnly):
             has any; the second is None if the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
         level_errors: The errors by level of priority, most important first.
-        raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before the options slack, free_turn and mask.
+        raw_error, raw_errors: All six errors of the tip, and of each tip by its name, along the axes of the option frame, before
+            slack, free_turn and mask.
         iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all tips count as
             one).
         attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.

@@ -47,7 +47,7 @@ def calibrate(
             link), 'tool' (the measured point), 'base' (the measurements are in another frame, such as a laser tracker's).
         places: Known positions (K, 3) [m] of the sockets, or of the fixed ends, in the base frame.
         distances: Known distances between sockets: one number [m] for two sockets, or {(0, 1): metres}.
-        noise: Standard deviation of the measurements (length [m], angle [rad]), or a length; by default estimated.
+        noise: Standard deviation of the measurements (length [m], angle [rad]), or a length, at least 1e-6; by default estimated.
         prior: Expected size (standard deviation) of the errors of links and joints, (length [m], angle [rad]), by default
             (0.01, 0.035). It is ten times as large for the tool.
 

@@ -15,11 +15,10 @@ import pinocchio as pin
 from ..errors import MissingExtra
 from ..robot.rotation import nearest_rotation
 from .drawn_arm import WIDE, DrawnArm
-from .measurements import NOISE, Measurements
+from .measurements import LEAST, NOISE, Measurements
 
 # A direction with a smaller singular value counts as not determined: there the data narrow the prior by less than a tenth.
 UNTOLD = 0.5
-LEAST = 1e-6  # [m, rad] lower bound on the estimated noise, below that of any instrument
 OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
 LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
 # Limits of the search for reversed joints: median squared errors, in units of LOOSE, below which there is no search and above which

@@ -20,6 +20,7 @@ from ..text import length
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
+LEAST = 1e-6  # [m, rad] lower bound on the noise, estimated or given, below that of any instrument
 PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
 # Measured positions are not in metres if they spread over more arm reaches than this, or if 100 times their spread is less than
 # that of the drawn arm's positions.
@@ -275,8 +276,10 @@ def read_noise(noise: Any) -> tuple[float, float] | None:
     if noise is None:
         return None
     pair = floats(noise, "noise must be a length [m], or (length [m], angle [rad])", InvalidOption).ravel().tolist()
-    if len(pair) not in (1, 2) or not all(0.0 < one < np.inf for one in pair):
-        raise InvalidOption(f"noise must be a length [m], or (length [m], angle [rad]), above 0; not {noise!r:.60}")
+    if len(pair) not in (1, 2) or not all(LEAST <= one < np.inf for one in pair):
+        raise InvalidOption(
+            f"noise must be a length [m], or (length [m], angle [rad]), of at least {LEAST:g}; not {noise!r:.60}"
+        )
     return pair[0], pair[-1] if len(pair) == 2 else 1e-3
 
 

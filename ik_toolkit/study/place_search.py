@@ -5,11 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import InvalidTarget
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.solve import Solver
+from .reachability import require_reaching
+from .reachability_grid import memory_allowed
 
 
 class SearchSizes(NamedTuple):
@@ -79,6 +82,7 @@ class Candidates:
         self.boxes = np.array([shape.corners() @ T[:3, :3].T + T[:3, 3] for _, shape, T in placed]).reshape(-1, 8, 3)
         self.rng = np.random.default_rng(options["seed"])
         solver = Solver(robot, **options, avoid_collisions=False if scene is None else scene)
+        require_reaching(solver.plan.options, "place")
         self.limited, self.moving = solver.robot, np.setdiff1d(np.arange(robot.n), solver.plan.held)
         self.tried: list[tuple[np.ndarray, np.ndarray]] = []
         self.full: list[tuple[np.ndarray, np.ndarray]] = []
@@ -235,14 +239,14 @@ class Candidates:
                 keys, W = _keys(A, 0.0, reach * S.height), self.W[arm.tip]
                 order = np.argsort(keys, kind="stable")
                 tables.append((keys[order], np.linalg.inv(A[order]), W[:: max(1, len(W) // 400)]))
+        low, sides = self._floor(cell) if tables else (self.low[:2], np.ones(3, int))
         for height in np.unique(np.linspace(self.low[3], self.high[3], 5)) if tables else ():
-            sides = np.append(np.maximum(np.ceil((self.high - self.low)[:2] / cell), 1).astype(int), S.yaws)
             votes = np.zeros(sides, np.int32)
             for keys, inverse, W in tables:
                 asked = _keys(W, height, reach * S.height)
                 first, last = np.searchsorted(keys, asked, "left"), np.searchsorted(keys, asked, "right")
                 for T, a, b in zip(W, first, last, strict=True):
-                    at = self._cells(T @ inverse[a:b], cell)
+                    at = _cells(T @ inverse[a:b], low, cell)
                     at = at[((at >= 0) & (at < sides)).all(axis=1)]
                     votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
@@ -253,20 +257,40 @@ class Candidates:
             x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)
             yaw = (turn + 0.5) / S.yaws * 2.0 * np.pi - np.pi
             found.append(
-                np.column_stack(
-                    [self.low[0] + (x + 0.5) * cell, self.low[1] + (y + 0.5) * cell, yaw, np.full(len(x), height)]
-                )
+                np.column_stack([low[0] + (x + 0.5) * cell, low[1] + (y + 0.5) * cell, yaw, np.full(len(x), height)])
             )
         return np.clip(np.concatenate(found), self.low, self.high)
 
-    def _cells(self, B: np.ndarray, cell: float) -> np.ndarray:
-        """Return the cells (m, 3) of x, y and yaw of base poses B (m, 4, 4); those outside the region are outside the range."""
-        turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
-        at = np.floor(
-            np.column_stack([(B[:, :2, 3] - self.low[:2]) / cell, (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws])
-        ).astype(int)
-        at[:, 2] %= SEARCH.yaws
-        return at
+    def _floor(self, cell: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower corner (2,) [m] and numbers of cells (x, y, yaw) of the part of the region from which poses are reached.
+
+        Raises InvalidTarget if the poses are so far apart that counting votes takes more memory than a study may.
+        """
+        at = np.concatenate([W[:, :2, 3] for W in self.W.values() if W.ndim == 3])
+        near, far = at.min(axis=0) - self.robot.reach, at.max(axis=0) + self.robot.reach
+        skipped = np.maximum(
+            np.floor((near - self.low[:2]) / cell), 0.0
+        )  # whole cells, so that the rest stay where they are
+        low = self.low[:2] + skipped * cell
+        counts = np.maximum(np.ceil((np.minimum(far, self.high[:2]) - low) / cell), 1.0)
+        need = 4.5 * 8.0 * SEARCH.yaws * float(counts.prod())  # one array of int32, four of floats
+        if need > memory_allowed():
+            raise InvalidTarget(
+                f"the poses are spread over {' x '.join(f'{x:.4g}' for x in np.ptp(at, axis=0))} m, and the robot reaches "
+                f"{self.robot.reach:.3g} m: the search takes {need / 1e9:,.3g} GB, more than half of this machine's memory; were "
+                "millimetres meant? Else place the robot for one part of them at a time"
+            )
+        return low, np.append(counts.astype(int), SEARCH.yaws)
+
+
+def _cells(B: np.ndarray, low: np.ndarray, cell: float) -> np.ndarray:
+    """Return the cells (m, 3) of x, y and yaw of base poses B (m, 4, 4); low: lower corner (2,) of the first cell [m]."""
+    turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
+    at = np.floor(np.column_stack([(B[:, :2, 3] - low) / cell, (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws])).astype(
+        int
+    )
+    at[:, 2] %= SEARCH.yaws
+    return at
 
 
 def _keys(T: np.ndarray, height: float, wide: float) -> np.ndarray:

@@ -16,17 +16,20 @@ import numpy as np
 from ..errors import IKError, Interrupted, InvalidOption, check_progress, whole
 from ..files import PARTIAL, as_output, require_place
 from ..kernel.counted_error import KIND
+from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.rotation import angles_between
 from ..robot.tree import require_one_tip
 from ..solvers.batch.result import BatchResult
 from ..solvers.batch.solve_batch import solve_parts
+from ..solvers.collision_free import collision_model
 from ..solvers.decide import Deciding
-from ..solvers.options import BatchOptions
+from ..solvers.options import BatchOptions, Options
 from ..solvers.plan import Plan
 from ..solvers.solve import Solver
 from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
+from .targets import fingerprint
 
 
 class ReachabilityInterrupted(Interrupted):
@@ -40,6 +43,17 @@ class MapNotSaved(IKError):
         """Keep the map and the error that occurred while it was written."""
         super().__init__(f"{error.strerror or error}: {error.filename}; the map is in the error's `result`")
         self.result = result
+
+
+def require_reaching(options: Options, what: str) -> None:
+    """Raise InvalidOption for options that have no place in a study of what is reached: about a start, or without the position."""
+    for name in ("closest", "follow"):
+        if getattr(options, name):
+            raise InvalidOption(f"{name} is about the start of one solve, and {what} chooses the starts; omit {name}")
+    if options.priority is not None and all(group == "orientation" for _, group in options.priority[0]):
+        raise InvalidOption(
+            f"{what} is about poses that are reached; with the orientation first the position is not kept"
+        )
 
 
 def decides(plan: Plan) -> bool:
@@ -97,10 +111,8 @@ def reachability(
     check_progress(progress, "the number of answers tried")
     if "restarts" in options:
         raise InvalidOption("reachability chooses the number of attempts; omit restarts, and see audit=")
-    if isinstance(priority := options.get("priority"), str) and priority.strip() == "orientation":
-        raise InvalidOption(
-            "a map is about places that are reached; with priority='orientation' the position is not kept"
-        )
+    if "solver" in options:
+        raise InvalidOption("reachability chooses the solver; omit solver")
     grid = grid_of(robot, region, resolution, orientations)
     if grid.free:
         options.setdefault("free_turn", "z")
@@ -109,6 +121,7 @@ def reachability(
     require_memory(grid, robot.n)
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((KIND.position if grid.rotations is None and grid.poses is None else KIND.pose,))
+    require_reaching(plan.options, "reachability")
     # If the options narrow the limits, the solver has a variant of the robot with these limits.
     robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:
@@ -121,7 +134,9 @@ def reachability(
     if file is not None:
         file = as_output(file, "a map", ".npz")
         require_place(file)
-        log = Log(file.with_name(file.name + PARTIAL), _question(robot, grid, said))
+        avoided = plan.options.avoid_collisions
+        world = None if avoided is False else collision_model(robot, avoided)
+        log = Log(file.with_name(file.name + PARTIAL), _question(robot, grid, said, world))
     work = {"threads": threads, "executor": executor, "check": check, **options}
     study = _Study(robot, grid, plan, work, log, progress)
     audited = None
@@ -146,23 +161,11 @@ def reachability(
     return found
 
 
-def _question(robot: Robot, grid: Grid, options: str) -> str:
+def _question(robot: Robot, grid: Grid, options: str, world: CollisionModel | None) -> str:
     """Return a text that identifies a study, to recognise the file of an earlier run."""
-    import hashlib
-
-    digest = hashlib.sha256()
-    for array in (
-        grid.low,
-        grid.size,
-        grid.rotations,
-        grid.poses,
-        robot.lower,
-        robot.upper,
-        robot.chain.rows,
-        robot.chain.ends,
-    ):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    about = [robot.name, robot.tip, robot.base, list(grid.shape), options, digest.hexdigest()]
+    of = "" if world is None else world.contents()
+    mark = fingerprint(robot, grid.low, grid.size, grid.rotations, grid.poses, of)
+    about = [robot.name, robot.tip, robot.base, list(grid.shape), options, mark]
     return json.dumps(about)
 
 

@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
+from ..solvers.batch.targets import ROUGH, known, mended
 from ..validate import positive
 from .workspace import envelope
 
@@ -112,16 +114,10 @@ def grid_of(
     robot: Robot, region: Any = None, resolution: float | None = None, orientations: Any = "any", axis: Any = None
 ) -> Grid:
     """Return the cells and target poses for these arguments of `reachability`, without solving anything."""
-    if (isinstance(region, np.ndarray) and region.ndim == 3) or (isinstance(region, list) and len(region) > 2):
+    if _are_poses(region):
         if resolution is not None or not (isinstance(orientations, str) and orientations == "any"):
             raise InvalidOption("loose poses are answered as they are; omit resolution and orientations")
-        T = floats(
-            np.array([np.asarray(getattr(one, "homogeneous", one)) for one in region]),
-            "poses must be numbers",
-            InvalidTarget,
-        )
-        if T.shape[1:] != (4, 4):
-            raise InvalidTarget(f"loose poses have the shape (N, 4, 4), not {T.shape}")
+        T = _exact_poses(robot, region)
         return Grid(np.zeros(3), np.zeros(3), (len(T), 1, 1), poses=T)
     if region is None:
         low, high, _ = envelope(robot)
@@ -149,6 +145,29 @@ def grid_of(
         rotations = rotations @ _frame(np.array([axis]))[0].T
     shape = tuple(int(k) for k in counts)
     return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))
+
+
+def _are_poses(region: Any) -> bool:
+    """Return whether a region is an array or a list of loose poses, rather than the two corners of a box."""
+    if isinstance(region, np.ndarray):
+        return region.ndim == 3
+    # The corners of a box are rows of numbers; what else stands in a list is read as a pose, in any form that a batch takes.
+    return isinstance(region, list | tuple) and any(
+        not isinstance(one, int | float | str | list | tuple | np.ndarray | np.generic) or np.shape(one) == (4, 4)
+        for one in region
+    )
+
+
+def _exact_poses(robot: Robot, given: Any) -> np.ndarray:
+    """Return loose poses (N, 4, 4), with rotations that are not quite orthonormal made exact. Raises InvalidTarget."""
+    T = np.array(floats(known(given, robot.base), "poses must be numbers", InvalidTarget))
+    if T.shape[1:] != (4, 4):
+        raise InvalidTarget(f"loose poses have the shape (N, 4, 4), not {T.shape}")
+    R = T[:, :3, :3]
+    exact = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) < ROUGH
+    for k in np.flatnonzero(~(exact & np.isfinite(T).all(axis=(1, 2)))):
+        T[k] = mended(T[k], (KIND.pose,), robot.tips, int(k))
+    return T
 
 
 def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
@@ -190,9 +209,14 @@ def _frame(Z: np.ndarray) -> np.ndarray:
     return np.stack([X, np.cross(Z, X), Z], axis=-1)
 
 
+def memory_allowed() -> float:
+    """Return how much memory [bytes] a study may take: half of this machine's."""
+    return 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def require_memory(grid: Grid, n: int) -> None:
     """Raise InvalidOption if a study takes more than half of this machine's memory; the message says what would fit."""
-    need, have = grid.memory(n), 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    need, have = grid.memory(n), memory_allowed()
     if need > have:
         fits, many = (
             have / need,

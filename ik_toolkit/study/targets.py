@@ -1,5 +1,6 @@
 """Random reachable targets for studies, uniform in joints or in the volume reached."""
 
+import hashlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -28,6 +29,18 @@ def one_tip(robot: Robot | Tree, tip: str | None) -> str:
     chosen = robot.arms[0].tip if tip is None else tip
     robot.check_tips([chosen])
     return chosen
+
+
+def fingerprint(robot: Robot | Tree, *parts: Any) -> str:
+    """Return a text that tells files of earlier runs apart: it differs for other joints, links or limits, and for other parts.
+
+    parts: arrays, or values whose repr shows all they hold.
+    """
+    digest = hashlib.sha256()
+    for one in (robot.chain.rows, robot.chain.ends, robot.lower, robot.upper, *parts):
+        digest.update(np.ascontiguousarray(one).tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
+        digest.update(b"|")
+    return digest.hexdigest()
 
 
 def sample_targets(

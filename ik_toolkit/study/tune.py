@@ -25,7 +25,7 @@ from ..solvers.tuning_space import Space
 from ..validate import not_negative, one_of
 from .benchmark import wilson
 from .engines import Evolution, Swarm, make_space
-from .targets import sample_targets
+from .targets import fingerprint, sample_targets
 
 METHODS = ("cma", "pso")
 JUDGED_SOON = 1  # number of held-out target sets for the final comparison after Ctrl-C, so that it ends soon
@@ -243,8 +243,8 @@ def tune(
     train = draw(TRAIN, targets)
     begun = perf_counter()
     search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
-    what = "positions" if position_only else "poses"
-    task = f"{robot.name} {robot.base} {'+'.join(robot.tips)} {what} {how} {targets} {seed} {options}"
+    what = f"{'positions' if position_only else 'poses'} {how} {targets} {seed} {options}"
+    task = f"{robot.name} {robot.base} {'+'.join(robot.tips)} {what} {fingerprint(robot, *(initial or ()))[:16]}"
     record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     interrupted = False

@@ -158,7 +158,7 @@ def workspace(
             the file is named NAME.partial.
         executor: Pool of processes (concurrent.futures) for the solves, as for `solve_batch`.
         progress: Called as progress(done) after each chunk of targets.
-        **options: As for `solve`.
+        **options: As for `solve_batch`; `check` is 0 if not given.
 
     Returns:
         The reach, and the counts and the map of each solver.
@@ -173,6 +173,7 @@ def workspace(
     if not named:
         raise InvalidOption("workspace needs at least one solver")
     seed = whole(seed, "seed", 0)
+    options.setdefault("check", 0.0)
     check_progress(progress, "the number of targets done")
     file = None if file is None else as_output(file, "a table of targets", ".csv")
     tally = _Tally(robot, tip, list(named))
@@ -185,7 +186,7 @@ def workspace(
             columns, seconds = [], []
             for solver in named.values():
                 begun = time.perf_counter()
-                parts = list(solve_parts(robot, asked, solver, q0=q0, executor=executor, check=0.0, **options))
+                parts = list(solve_parts(robot, asked, solver, q0=q0, executor=executor, **options))
                 seconds.append(time.perf_counter() - begun - compile_time(begun, everywhere=True))
                 part = {
                     key: np.concatenate([getattr(one, key) for one in parts])

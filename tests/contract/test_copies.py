@@ -42,6 +42,10 @@ def batch():
     return ik.solve_batch(robots.load("planar_2r"), np.array([[1.0, 1.0, 0.0], [1.2, 0.3, 0.0]]), check=0.0)
 
 
+def mapped():
+    return ik.reachability(robots.load("planar_2r"), resolution=0.5)
+
+
 def path():
     arm = robots.load("planar_2r")
     return ik.solve_path(arm, [arm.fk(q).translation for q in np.linspace((0.2, 0.5), (0.6, 0.9), 5)])
@@ -100,6 +104,25 @@ HELD = {
     "IKError": (lambda: IKError("what is wrong"), str),
     "NotSolved": (unsolved, lambda error: (str(error), *facts_of(error.result))),
     "PathInterrupted": (lambda: ik.PathInterrupted(path()), lambda stop: (str(stop), *facts_of(stop.result))),
+    "BatchInterrupted": (lambda: ik.BatchInterrupted(batch()), lambda stop: (str(stop), stop.result.q)),
+    "TrackInterrupted": (lambda: ik.TrackInterrupted(run()), lambda stop: (str(stop), *facts_of(stop.result))),
+    "ReachabilityInterrupted": (lambda: ik.ReachabilityInterrupted(mapped()), lambda stop: (str(stop), stop.result.q)),
+    "MapNotSaved": (
+        lambda: ik.MapNotSaved(mapped(), OSError(28, "No space left on device", "map.npz")),
+        lambda error: (str(error), error.result.q),
+    ),
+    "PlaceInterrupted": (
+        lambda: ik.PlaceInterrupted(ik.place(robots.load("planar_2r"), [(1.0, 1.0, 0.0)], ((0, 0), (0.1, 0.1)), count=1)),
+        lambda stop: (str(stop), stop.result[0].q, stop.result.shares),
+    ),
+    "WorkspaceInterrupted": (
+        lambda: ik.WorkspaceInterrupted(ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20)),
+        lambda stop: (str(stop), stop.result.to_dict()),
+    ),
+    "BenchmarkInterrupted": (
+        lambda: ik.BenchmarkInterrupted(ik.benchmark("planar_2r", "planar-2r", targets=4)),
+        lambda stop: (str(stop), [(row.solver, row.solved, row.median) for row in stop.result.rows]),
+    ),
     "BatchCheckFailed": (
         lambda: ik.BatchCheckFailed(batch(), 1, 0),
         lambda error: (str(error), error.target, error.before, error.result.q),
@@ -133,7 +156,7 @@ HELD = {
     "Calibration": (calibrated, lambda made: (made.to_dict(), made.predict([[0.2, 0.3]]), made.robot.fk((0.2, 0.3)).homogeneous)),
     "Workspace": (lambda: ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20), lambda made: made.to_dict()),
     "ReachabilityMap": (
-        lambda: ik.reachability(robots.load("planar_2r"), resolution=0.5),
+        mapped,
         lambda made: (made.states, made.q, made.contains([[1.0, 1.0, 0.0]]), str(made.audit)),
     ),
     "GainCheck": (lambda: ik.check_gains("cv", 0.01, kappa=20.0), repr),
@@ -305,9 +328,7 @@ def fail(position):
 
 
 def test_what_is_kept_of_a_batch_says_how_much():
-    from ik_toolkit.solvers.batch.result import BatchInterrupted
-
-    stop = pickle.loads(pickle.dumps(BatchInterrupted(batch())))
+    stop = pickle.loads(pickle.dumps(ik.BatchInterrupted(batch())))
     assert str(stop) == "interrupted after 2 targets" and len(stop.result) == 2
 
 

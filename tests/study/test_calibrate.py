@@ -321,6 +321,7 @@ def test_too_little_data_are_said(arm, good):
         (dict(what="socket", measured=lambda m: np.arange(30) % 2, parameters=("base",)), InvalidOption, "base"),
         (dict(places=np.zeros((1, 3))), InvalidOption, "places"),
         (dict(noise=-1.0), InvalidOption, "noise"),
+        (dict(noise=1e-12), InvalidOption, "at least 1e-06"),  # variances below rounding had intervals that were NaN
         (dict(prior=3.0), InvalidOption, "prior"),
     ],
 )

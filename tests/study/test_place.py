@@ -76,6 +76,18 @@ def test_the_votes_of_the_inverse_map_find_the_region(hydrolek, monkeypatch):
     assert ik.place(hydrolek, sheet(hydrolek, count=60), count=1)[0].count >= 55
 
 
+def test_a_wide_region_takes_no_more_memory_than_the_poses_need(hydrolek, monkeypatch):
+    """Votes are counted only where a base reaches a pose, and the candidates are those of the whole region."""
+    W = sheet(hydrolek)
+    monkeypatch.setattr(place_search, "memory_allowed", lambda: 1e8)
+    study = place_search.Candidates(
+        hydrolek, {"tool": W}, (np.array([-500, -500, -3.2, 0]), np.array([500, 500, 3.2, 0])), None, {"seed": 0}, None
+    )
+    bases = study.votes()
+    assert len(bases) > 50
+    assert np.linalg.norm(bases[:, :2] - W[:, :2, 3].mean(axis=0), axis=1).max() < 1.5 * hydrolek.reach
+
+
 def test_positions_regions_yaw_and_height_are_kept(hydrolek):
     W = sheet(hydrolek, moved(0.0, 0.0, 0.0, 0.4))
     at = W[:, :3, 3]
@@ -160,6 +172,10 @@ def test_mistakes_are_named(hydrolek):
         (InvalidOption, "height", W, {"height": (2, 1)}),
         (InvalidOption, "count", W, {"count": 0}),
         (InvalidOption, "restarts", W, {"restarts": 5}),
+        (InvalidOption, "omit closest", W, {"closest": True}),
+        (InvalidOption, "omit follow", W, {"follow": True}),
+        (InvalidOption, "position is not kept", W, {"priority": "orientation"}),
+        (InvalidTarget, "were millimetres meant", W * np.array([[1.0] * 3 + [1e6]] * 3 + [[1.0] * 4]), {}),
         (InvalidOption, "tolerance", W, {"tolerence": 5}),
     ):
         with pytest.raises(error, match=words):

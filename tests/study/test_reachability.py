@@ -218,6 +218,44 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path, monkeypatch):
         ik.reachability(robot, BOX, file=file, **{**asked, "resolution": 0.2})
 
 
+def test_a_study_does_not_go_on_with_other_obstacles(tmp_path, monkeypatch):
+    """An obstacle elsewhere, of another size or held makes it another study; the same shapes in a new model do not."""
+    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(chunk=32))
+    arm, file = robots.load("planar_2r"), tmp_path / "map.npz"
+    asked = {"region": ((0, -1.2, 0), (1.8, 1.2, 0)), "resolution": 0.2, "audit": 0, "file": file}
+
+    def world(size=(0.3, 0.5, 0.3), at=(1.2, 0.6, 0.0)):
+        return ik.CollisionModel(arm).add_box(size, at, name="wall")
+
+    with pytest.raises(ReachabilityInterrupted):
+        ik.reachability(arm, avoid_collisions=world(), progress=stopping(1), **asked)
+    for other in (world(at=(1.2, -0.6, 0.0)), world(size=(0.3, 0.1, 0.3)), world().attach(ik.Shape.sphere(0.01))):
+        with pytest.raises(InvalidOption, match="another robot, region or options"):
+            ik.reachability(arm, avoid_collisions=other, **asked)
+    told = []
+    again = ik.reachability(arm, avoid_collisions=world(), progress=told.append, **asked)
+    assert told[0] == 96  # two parts of 32 were read from the file
+    assert (again.states == ik.reachability(arm, avoid_collisions=world(), **asked).states).all()
+
+
+def test_loose_poses_are_taken_in_every_form_and_made_exact():
+    robot = robots.load("hydrolek_7w")
+    rng = np.random.default_rng(1)
+    T = [robot.fk(robot.random_q(rng)) for _ in range(3)]
+    for count in (1, 2, 3):
+        for given in (T[:count], tuple(T[:count]), [one.homogeneous for one in T[:count]]):
+            found = ik.reachability(robot, given, audit=0)
+            assert found.counts()["yes"] == count and found.reached.shape == (count, 1, 1)
+    rough = np.array([one.homogeneous for one in T])
+    rough[1, :3, :3] *= 1.001  # as `solve` and `solve_batch` take it
+    kept = rough.copy()
+    assert ik.solve_batch(robot, rough).success.all() and ik.reachability(robot, rough, audit=0).counts()["yes"] == 3
+    assert (rough == kept).all()
+    rough[2, 0, 0] = np.nan
+    with pytest.raises(InvalidTarget, match="target 2"):
+        ik.reachability(robot, rough)
+
+
 def test_a_full_disk_loses_nothing_finished(tmp_path, capsys):
     robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.1, "audit": 0, "file": tmp_path / "map.npz"}
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -299,6 +337,13 @@ def test_mistakes_are_named():
         ("at least 1", {"orientations": 0}),
         ("full", {"audit": -1}),
         ("restarts", {"restarts": 3}),
+        ("chooses the solver", {"solver": "dls"}),
+        ("omit closest", {"closest": True}),
+        ("omit follow", {"follow": True}),
+        ("position is not kept", {"orientations": 2, "priority": "orientation"}),
+        ("position is not kept", {"orientations": 2, "priority": ["orientation"]}),
+        ("position is not kept", {"orientations": 2, "priority": [("tool", "orientation"), "position"]}),
+        ("two corners", {"region": [[0.0, 0.0, 0.0]] * 3}),
         ("loose poses", {"region": np.tile(np.eye(4), (3, 1, 1)), "resolution": 0.1}),
         ("npz", {"file": "map.csv"}),
         ("tolerance", {"tolerence": 1e-3}),

@@ -143,6 +143,9 @@ def test_poses_and_mistakes(tmp_path):
         workspace(robot, ["lm"], targets=10, file=tmp_path / "x.txt")
     with pytest.raises(InvalidOption, match="at least one"):
         workspace(robot, [])
+    with pytest.raises(InvalidOption, match="fraction"):
+        workspace(robot, ["lm"], targets=10, check=2.0)
+    assert workspace(robot, ["lm"], targets=10, check=1.0).outcomes["lm"].solved == 10
 
 
 def test_measures_of_a_planar_arm():

@@ -33,6 +33,8 @@ class Surroundings(ReadOnly):
     """Base class of CollisionModel: obstacles and held shapes; `version` counts their changes."""
 
     robot: Any
+    pairs: Any
+    margins: Any
     _names: list[str]
 
     def __init__(self) -> None:
@@ -74,6 +76,14 @@ class Surroundings(ReadOnly):
     def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
         """Return the name, shape and pose (4, 4) [m] in the base frame of each obstacle."""
         return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
+
+    def contents(self) -> str:
+        """Return a text that differs for models in which other pairs, shapes or poses are tested."""
+        tools = [(str(shape), T.homogeneous.tolist()) for arm in self.robot.arms for shape, T in arm.tool_shapes]
+        shapes = [
+            (name, str(one.shape), one.T.tolist(), one.arm, sorted(one.touch)) for name, one in self._placed.items()
+        ]
+        return repr((self.pairs, self.margins.tolist(), tools, shapes))
 
     # ------------------------------------------------------------------------------------------------ obstacles
     def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
