@@ -12,6 +12,7 @@ from ...kernel.kinematics import TAU
 from ...kernel.records import copy
 from .geometry import clamp, legal_turn
 from .reach import (
+    forearm,
     inspection_branch,
     inspection_branches,
     inspection_margin,
@@ -19,6 +20,7 @@ from .reach import (
     level_arm,
     lift_intervals,
     nearest_lift,
+    shoulder_in_tool,
 )
 
 # Indices in the array of the arm's parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12). A4 and
@@ -281,6 +283,16 @@ def meet_limits(p, box, up, row):
         if gap < least or (gap == least and distance < nearest):
             least, nearest, chosen = gap, distance, x
     set_free(p, up, chosen, row)
+
+
+@inline
+def shoulder_on_axes(p, P, d, near):
+    """Return whether the shoulder lies on axis 6, and whether on axis 7, of the wrist pose P at lift (prismatic joint) d.
+
+    theta_6 or theta_7 is then free. near (6,): any angles.
+    """
+    x, y, _ = shoulder_in_tool(P, d)
+    return forearm(P, d, p[A4], p[A6], near)[0], math.hypot(x, y) <= LEVEL * (p[A4] + p[A6])
 
 
 @inner
