@@ -262,21 +262,10 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
     """Add the solutions that a search found (`other`) to those of a closed form that may miss some (`first`)."""
-    both = Solutions(
-        first.robot,
-        np.vstack([first.q, other.q]),
-        np.concatenate([first.distance, other.distance]),
-        (
-            np.concatenate([first.position_error, other.position_error]),
-            np.concatenate([first.orientation_error, other.orientation_error]),  # pyright: ignore
-        ),
-        False,
-        plan.row.name,
-        "",
-        other.families,
-        None,
-        first.found_by + other.found_by,
-    )
+    q, distance = np.vstack([first.q, other.q]), np.concatenate([first.distance, other.distance])
+    turned = np.concatenate([first.orientation_error, other.orientation_error])  # pyright: ignore
+    errors, by = (np.concatenate([first.position_error, other.position_error]), turned), first.found_by + other.found_by
+    both = Solutions(first.robot, q, distance, errors, False, plan.row.name, "", other.families, None, by)
     both = distinct_rows(both, plan)
     added = sum(name != plan.row.name for name in both.found_by)
     both._put(message=f"{first.message}; {added} more by {other.solver}: {other.message}")
@@ -397,4 +386,7 @@ def family_of(robot: Any, curve: SelfMotion) -> Family:
                 at[END.singular] = "where the arm is singular"
             said.append(at.get(kind, "where it was not followed further"))
         ends = f"a curve that ends {' and '.join(said)}"
-    return Family(tuple(names[i] for i in order), low, high, f"{ends}; {names[lead]} from {low:.4g} to {high:.4g} rad")
+    said = f"{ends}; {names[lead]} from {low:.4g} to {high:.4g} rad"
+    if robot.upper[lead] - robot.lower[lead] >= TAU and (low < robot.lower[lead] or high > robot.upper[lead]):
+        said += ", where whole turns lead back into its limits"
+    return Family(tuple(names[i] for i in order), low, high, said)

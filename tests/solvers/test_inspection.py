@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import robots
 from folders import read_data
 from serial_arms import apart
 
@@ -300,3 +301,51 @@ def test_the_closed_form_takes_its_parameter_without_being_named(arm):
         ik.solve(arm, T, "lm", lif=0.25)
     with pytest.raises(ik.IKError, match=r"Did you mean 'max_iterations'\?(?!.*Solvers with)"):
         ik.solve(arm, T, "lm", maxiter=5)
+
+
+AXES = ("0 0 1", "0 1 0", "1 0 0", "1 0 0", "0 0 1", "0 0 1")
+PLACES = ("0 0 0.3", "0 0 0", "0 0 0", "0 0.4 0", "0 0 0", "0.3 0 0")
+
+
+def shoulder_arm(limits):
+    """An arm of the inspection robot's structure without a lift, with limits for each of its six joints, or `continuous`."""
+    joints = [
+        dict(kind="continuous" if box is None else "revolute", axis=axis, xyz=xyz, limits=box)
+        for axis, xyz, box in zip(AXES, PLACES, limits, strict=True)
+    ]
+    return ik.Robot.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.05 0.03 0.1"), name="shoulder"))
+
+
+def test_one_value_of_a_free_elbow_proves_nothing():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        q = rng.uniform(-3.0, 3.0, 6)
+        q[3] = np.pi / 2  # the shoulder is on the sixth axis, and the elbow turns freely
+        robot = shoulder_arm([(x - 0.02, x + 0.02) for x in q])
+        T, start = robot.fk(q), np.where(np.arange(6) == 4, robot.upper, q)
+        alone = ik.solve(robot, T, "inspection", start, max_evaluations=1)  # the closed form, and no search after it
+        assert alone.success or not alone.proven
+        assert not ik.solve_all(robot, T, "inspection", start, max_evaluations=1).complete
+        assert ik.solve(robot, T, q0=start).success
+
+
+def test_a_pose_on_the_edge_of_reach_is_not_said_to_need_more_stroke(arm):
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        level = arm.random_q(rng)
+        snapped = rng.random(7) < 0.6
+        snapped[1] = False
+        q = np.where(snapped, np.clip((level / (PI / 2)).round() * (PI / 2), arm.lower, arm.upper), level)
+        alone = ik.solve(arm, arm.fk(q), "inspection", max_evaluations=1)
+        assert alone.success or not alone.proven, q
+
+
+def test_a_level_arm_says_ranges_within_its_limits_and_each_once():
+    for first, fourth in (((-4.0, 4.0), (-4.0, 4.0)), (None, (-1.0, 1.0)), ((-1.0, 1.0), None), (None, None)):
+        robot = shoulder_arm([first, (-3.0, 3.0), fourth, (-1.4, 1.4), (-3.0, 3.0), (-3.0, 3.0)])
+        for q0 in (-3.5, 0.0, 3.5):
+            start = np.clip([q0, 0.4, 0.3, 0.5, 0.6, 0.7], robot.lower, robot.upper)
+            found = ik.solve_all(robot, robot.fk([0.2, PI / 2, 0.5, 0.4, 0.9, -0.3]), q0=start)
+            level = [one for one in found.families if one.joints == ("j0", "j2")]
+            assert level and all(robot.lower[0] <= one.lower < one.upper <= robot.upper[0] for one in level)
+            assert (first and fourth) or len(level) <= 4  # two each of elbow and wrist

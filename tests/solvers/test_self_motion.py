@@ -136,3 +136,29 @@ def test_a_gap_that_is_thinner_than_a_step_ends_a_curve(tmp_path):
             assert (curve.points >= robot.lower - 1e-9).all() and (curve.points <= robot.upper + 1e-9).all()
             ends += sum(kind == END.limit for kind, _ in curve.ends)
     assert ends > 5
+
+
+def test_a_joint_that_stays_still_along_a_curve_does_not_keep_it_from_being_followed():
+    """Where the first and the last three axes meet in a point each, the fourth joint does not move; the axes have any direction."""
+    for seed in (5, 7, 9):
+        rng = np.random.default_rng(seed)
+        axes = [" ".join(map(str, axis)) for axis in rng.normal(size=(7, 3))]
+        places = ["0 0 0"] * 7
+        places[3], places[4] = (" ".join(map(str, place)) for place in rng.normal(0.0, 0.3, (2, 3)))
+        joints = [dict(kind="revolute", axis=a, xyz=p, limits=(-2.9, 2.9)) for a, p in zip(axes, places, strict=True)]
+        robot = ik.Robot.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.1 0.05 0.2")))
+        for q in rng.uniform(-2.9, 2.9, (3, 7)):
+            T = robot.fk(q)
+            assert ik.solve_all(robot, T, q0=q).distance[0] < 0.1  # a curve passes by where the pose was made
+            for curve in self_motions(ik.Solver(robot).plan, T.homogeneous):
+                assert (curve.upper - curve.lower).max() > 1e-3 and np.ptp(curve.points[:, 3]) < 1e-6
+
+
+def test_a_range_beyond_the_limits_of_a_joint_with_full_turns_says_so(tmp_path):
+    robot, rng, beyond = seven(tmp_path, reach=4.0), np.random.default_rng(8), 0
+    for _ in range(4):
+        for family in ik.solve_all(robot, robot.fk(robot.random_q(rng))).families:
+            outside = family.lower < -4.0 or family.upper > 4.0
+            assert outside == ("whole turns lead back" in family.message)
+            beyond += outside
+    assert beyond

@@ -48,6 +48,16 @@ def test_folded_links_are_a_family():
     assert straight.complete and len(straight) == 1 and straight.families == ()
 
 
+@pytest.mark.parametrize("limits", [(2.0, 5.0), (-6.0, -2.5), (4.0, 9.0), (-6.28, 6.28), (-3.5, 3.5)])
+def test_the_range_of_folded_links_has_every_angle_within_limits(limits):
+    joints = [dict(kind="revolute", limits=limits), dict(kind="revolute", xyz="0.5 0 0", limits=(-3.2, 3.2))]
+    robot = ik.Robot.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.5 0 0"), name="folding"))
+    for q0 in np.linspace(*limits, 4):
+        (family,) = ik.solve_all(robot, [0.0, 0.0, 0.2], q0=[q0, 0.0], count=9).families
+        assert limits[0] <= family.lower <= q0 <= family.upper <= limits[1]
+        assert family.upper - family.lower == pytest.approx(min(limits[1] - limits[0], 2 * np.pi))
+
+
 @needs_data
 def test_a_wrist_that_leaves_an_angle_free_is_a_family_and_a_straight_elbow_is_none():
     robot = robots.load("ur5")

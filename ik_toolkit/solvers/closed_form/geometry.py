@@ -43,7 +43,8 @@ class Family(NamedTuple):
     """A continuum of solutions (self-motion).
 
     `joints` names the joints that move along it, the leading one first; `lower` and `upper` are the range of the leading joint [rad
-    or m], or None if the family was found numerically and not followed to its ends; `message` is one sentence.
+    or m], or None if the family was found numerically and not followed to its ends; `message` is one sentence. On a curve of an arm
+    of seven joints, the range may leave the limits of a joint that has a full turn or more: whole turns lead back into them.
     """
 
     joints: tuple[str, ...]
@@ -133,6 +134,13 @@ def clamp(x, low, high):
     if x < low:
         return (low, 0.0) if low - x <= SNAP else (x, low - x)
     return x, 0.0
+
+
+@shared
+def one_turn(low, high, near):
+    """Return the part of [low, high] that a joint needs for every angle it can have there: a turn at most, about `near`."""
+    start = max(low, min(near - 0.5 * TAU, high - TAU))
+    return start, min(start + TAU, high)
 
 
 @inline

@@ -50,6 +50,7 @@ from .lift_arm import (
     pick,
     pick_level,
     scan_lifts,
+    shoulder_on_axes,
     stopped_at,
     wrist_pose,
 )
@@ -151,8 +152,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         near_angles(p, box, near)
         wrist_pose(p, T[t], P)
         d, count = choose_lift(p, P, box, spans)
-        stroke = 0.0
-        gap = max(0.0, -inspection_margin(P, d, p[A4], p[A6]))
+        gap, stroke = max(0.0, -inspection_margin(P, d, p[A4], p[A6])), 0.0
         broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
         free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
         if broken > 0.0:
@@ -168,14 +168,13 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
                 if broken > 0.0:
                     broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
-            elif gap > 0.0:
+            elif gap >= opt[ORDER.tol_p]:  # A smaller gap may be rounding, and then no stroke is missing.
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
                 if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
         slack = opt[ORDER.tol_r] * lever  # orientation tolerance as a distance at the wrist
-        nearly = p[NEARLY] > 0.0
-        spent = 0
+        nearly, spent = p[NEARLY] > 0.0, 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
             i = int(p[LIFT])
             at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
@@ -206,6 +205,8 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 copy(q, best)
             if nearly:  # A chain that fits only approximately proves nothing about the target.
                 broken, gap = 0.0, 0.0
+        if broken > 0.0 and stroke == 0.0 and max(shoulder_on_axes(p, P, d, near)):
+            broken = 0.0  # Of an angle that is free only one value was tried, which proves nothing about the others.
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
         if out[t, AT.status] == CODE.limit_blocked:

@@ -12,12 +12,14 @@ from ...kernel.kinematics import TAU
 from ...kernel.records import copy
 from .geometry import clamp, legal_turn
 from .reach import (
+    forearm,
     inspection_branch,
     inspection_branches,
     inspection_margin,
     inspection_nearest,
     level_arm,
     lift_intervals,
+    shoulder_in_tool,
 )
 
 # Indices in the array p of the arm's parameters, after two transforms: base to shoulder axes (12) and tip to wrist axes (12). A4
@@ -318,6 +320,16 @@ def meet_limits(p, box, up, row):
         if gap < least or (gap == least and distance < nearest):
             least, nearest, chosen = gap, distance, x
     set_free(p, up, chosen, row)
+
+
+@inline
+def shoulder_on_axes(p, P, d, near):
+    """Return whether the shoulder lies on axis 6, and whether on axis 7, of the wrist pose P at lift (prismatic joint) d.
+
+    theta_6 or theta_7 is then free. near (6,): any angles.
+    """
+    x, y, _ = shoulder_in_tool(P, d)
+    return forearm(P, d, p[A4], p[A6], near)[0], math.hypot(x, y) <= LEVEL * (p[A4] + p[A6])
 
 
 @inner

@@ -9,7 +9,7 @@ from ...compile.jit import cached
 from ...kernel.kinematics import TAU
 from ...kernel.records import copy
 from . import reach
-from .geometry import Branches, Family
+from .geometry import Branches, Family, one_turn
 from .lift_arm import (
     A4,
     A6,
@@ -28,16 +28,15 @@ from .lift_arm import (
     near_angles,
     set_free,
     shared_range,
+    shoulder_on_axes,
     wrist_pose,
 )
 from .reach import (
-    forearm,
     inspection_branches,
     inspection_margin,
     inspection_nearest,
     level_arm,
     lift_intervals,
-    shoulder_in_tool,
 )
 
 SPREAD_LIFTS = 9  # number of values of the prismatic joint, in each feasible interval, at which branches are listed
@@ -93,13 +92,8 @@ def looks(p, T, d, Q, marks):
             marks[k, m] = 0 if abs(value) < reach.MERGED else (1 if value > 0.0 else -1)
     P = np.empty(12)
     wrist_pose(p, T, P)
-    x, y, z = shoulder_in_tool(P, d)
-    free = LEVEL_ARM if abs(P[8]) <= LEVEL else 0
-    if forearm(P, d, p[A4], p[A6], np.zeros(6))[0]:
-        free += ON_AXIS_6
-    if math.hypot(x, y) <= LEVEL * (p[A4] + p[A6]):
-        free += ON_AXIS_7
-    return free
+    on_six, on_seven = shoulder_on_axes(p, P, d, np.zeros(6))
+    return LEVEL_ARM * (abs(P[8]) <= LEVEL) + ON_AXIS_6 * on_six + ON_AXIS_7 * on_seven
 
 
 @cached
@@ -124,13 +118,15 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
             continue
         i, j, base, slope = coupled(p, up, row)
         first = np.rint((q[j] - base - slope * q[i]) / TAU)
-        for m in range(-TURNS, TURNS + 1):
+        # A whole turn of an endless joint leads to the same range again.
+        endless = math.isinf(box[1, i] - box[0, i]) or math.isinf(box[1, j] - box[0, j])
+        turns = 0 if endless else TURNS
+        for m in range(-turns, turns + 1):
             low, high = shared_range(box, i, j, base + TAU * (first + m), slope)
             if high < low:
                 continue
             whole = high - low >= TAU
-            if whole:
-                low, high = q[i] - 0.5 * TAU, q[i] + 0.5 * TAU
+            low, high = one_turn(low, high, q[i])
             spans[count, 0], spans[count, 1] = low, high
             for s in range(samples):
                 set_free(p, up, low + (high - low) * s / max(samples - 1, 1), row)
@@ -222,7 +218,9 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
         marks = np.empty((len(q), 3), dtype=np.int8)
         looks(p, T, lifts[0], q, marks)
     nearly = p[NEARLY] > 0.0
-    complete = not (nearly or families or (place >= 0 and choice == MIDDLE))
+    # Where an angle of elbow or wrist is free, only samples of it were looked at.
+    sampled = free & (ON_AXIS_6 | ON_AXIS_7) > 0
+    complete = not (nearly or families or sampled or (place >= 0 and choice == MIDDLE))
     fixed = -1 if place < 0 or free_lift else place
     return Branches(q, broken, marks, complete, words, tuple(families), STEPS if nearly else 0, fixed)
 

@@ -26,6 +26,7 @@ from .geometry import (
     legal_turn,
     measure_tip,
     no_fit,
+    one_turn,
     read_screws,
 )
 from .polish import polish
@@ -172,9 +173,7 @@ class Planar2R(NamedTuple):
         nearly = p[NEARLY] > 0.0
         families = ()
         if folded and found and broken[0] == 0.0:
-            low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # the limits of joint 1 contain no angle between -pi and pi
-                low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
+            low, high = one_turn(box[0, 0], box[1, 0], box[2, 0])
             q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
             found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
             first = robot.joint_names[0]
