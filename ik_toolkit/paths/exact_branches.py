@@ -1,7 +1,9 @@
 """All solutions of all poses of a path, and the choice of multiples of 2 pi along it.
 
-A path needs all solutions to prove that it has the fewest reconfigurations. For six revolute joints the elimination lists and
-certifies them; for three parallel axes there is a formula.
+A path needs all solutions to prove that it has the fewest reconfigurations. Two kinds of arm have them in closed form: three
+parallel axes, or six axes of which 2, 3, 4 are parallel and 5, 6 meet (Universal Robots). The geometry is that of Hawkins (2013),
+"Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables. For other arms of
+six revolute joints the elimination lists and certifies them.
 
 A joint whose range exceeds 2 pi has each solution several times, 2 pi apart. Whether a continuous piece of a path fits the limits
 of such a joint depends on how far the joint winds up along the whole piece, which no single step shows. So paths are first searched
@@ -16,11 +18,10 @@ import numpy as np
 from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import VERDICT
 from ..kernel.kinematics import TAU
-from ..motion.reference import exp
 from ..solvers.closed_form.geometry import Screws, read_screws
 from ..solvers.decide import arm_of, elimination_plan
 
-PARALLEL = 1e-6  # largest sine of the angle between axes that count as parallel
+PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
 # largest pose error of a solution [m, or rotation matrix entries]; robot files hold rounded numbers, so a smaller one would fail
@@ -30,22 +31,72 @@ EXACT = 1e-5
 def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
 
-    plan: a Plan of the arm. A pose with fewer than K solutions has rows of NaN. Joint limits and shifts by 2 pi are ignored. The
-    result is None unless the arm has six revolute joints, or three with parallel axes.
+    They are found by `solutions` or, for an arm of six revolute joints with no formula there, by elimination. For all other arms
+    the result is None.
     """
-    s = read_screws(plan.robot.chain)
-    if plan.robot.n == 3 and isinstance(s, Screws) and s.turns.all():
-        if np.linalg.norm(np.cross(s.axis[1:], s.axis[0]), axis=1).max() < PARALLEL:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                return _planar(plan.robot, s, T)
-    exact = elimination_plan(plan)
+    found = solutions(plan.robot, T)
+    exact = elimination_plan(plan) if found is None else None
     if exact is None:
-        return None
+        return found
     said = answers(*arm_of(exact), np.ascontiguousarray(T))
     count = said[:, 0, 0].astype(int)
     Q = said[:, 1 : 1 + max(1, int(count.max(initial=0))), :6].copy()
     Q[np.arange(Q.shape[1]) >= count[:, None]] = np.nan
     return Q, said[:, 0, 1] == VERDICT.certain
+
+
+def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
+
+    A pose with fewer than K solutions has rows of NaN. Joint limits and shifts by 2 pi are ignored. The result is None unless the
+    arm is planar with three revolute joints, or has six, of which the axes of the second to fourth are parallel and those of the
+    last two meet.
+    """
+    s = read_screws(robot.chain)
+    if not isinstance(s, Screws) or not s.turns.all():
+        return None
+    made = None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if robot.n == 3 and _parallel(s.axis):
+            made = _planar(s, 0, T @ np.linalg.inv(s.T))
+        elif robot.n == 6 and _parallel(s.axis[1:4]) and not _parallel(s.axis[:2]):
+            meet = _meeting(s, robot.chain.reach)
+            made = None if meet is None else _arm(s, meet, T)
+    if made is None:
+        return None
+    Q, sure = made
+    reached = robot.chain.forward(np.nan_to_num(Q.reshape(-1, robot.n)))[0].reshape(*Q.shape[:2], 4, 4)
+    Q[np.abs(reached - T[:, None]).max(axis=(2, 3)) > EXACT] = np.nan
+    return Q, sure
+
+
+def _parallel(axes: np.ndarray) -> bool:
+    return bool(np.linalg.norm(np.cross(axes[1:], axes[0]), axis=1).max() < PARALLEL)
+
+
+def _meeting(s: Screws, reach: float) -> np.ndarray | None:
+    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach: the arm's reach [m]."""
+    across = np.cross(s.axis[4], s.axis[5])
+    size = np.linalg.norm(across)
+    if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
+        return None
+    along = np.cross(s.point[5] - s.point[4], s.axis[5]) @ across / size**2
+    return s.point[4] + along * s.axis[4]
+
+
+def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return the rotations (N, 3, 3) about a unit axis (3,) by the angles (N,) [rad]."""
+    K = np.cross(axis, np.eye(3)).T
+    c, d = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    return c * np.eye(3) + d * K + (1.0 - c) * np.outer(axis, axis)
+
+
+def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
+    """Return the displacements (N, 4, 4) that joint i produces between q = 0 and the angles (N,) [rad], in base axes."""
+    made = np.tile(np.eye(4), (len(angle), 1, 1))
+    made[:, :3, :3] = _turn(s.axis[i], angle)
+    made[:, :3, 3] = s.point[i] - made[:, :3, :3] @ s.point[i]
+    return made
 
 
 def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
@@ -70,27 +121,56 @@ def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.nda
     return np.arctan2(np.cross(x, y) @ axis, (x * y).sum(axis=1)), (x * x).sum(axis=1) > DOUBTFUL
 
 
-def _planar(robot: Any, s: Screws, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `every_solution` does, for an arm of three parallel axes with the joint screws s.
+def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the angles of three joints with parallel axes that together produce given displacements from q = 0.
 
-    Where none of the two solutions exists, rows are NaN.
+    k: index of the first of the three joints; E (N, 4, 4): the displacements. Returns the solutions (N, 2, 3) [rad], NaN where none
+    exists, and whether (N,) their number is beyond doubt.
     """
-    a, E = s.axis[0], T @ np.linalg.inv(s.T)
-    signs = np.sign(s.axis @ a)
-    first, second = (v - (v @ a) * a for v in np.diff(s.point, axis=0))
-    r = E[:, :3, :3] @ s.point[2] + E[:, :3, 3] - s.point[0]
+    a, N = s.axis[k], len(E)
+    signs = np.sign(s.axis[k : k + 3] @ a)
+    first, second = (v - (v @ a) * a for v in np.diff(s.point[k : k + 3], axis=0))
+    r = E[:, :3, :3] @ s.point[k + 2] + E[:, :3, 3] - s.point[k]
     r -= (r @ a)[:, None] * a
     side = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
-    total, _ = _angle(a, np.tile(side, (len(E), 1)), E[:, :3, :3] @ side)
+    total, _ = _angle(a, np.tile(side, (N, 1)), E[:, :3, :3] @ side)
     inside = 0.5 * ((r * r).sum(axis=1) - first @ first - second @ second)
     elbows, sure = _wave(first @ second, first @ np.cross(a, second), inside)
-    Q = np.empty((len(E), 2, 3))
+    Q = np.empty((N, 2, 3))
     for j, elbow in enumerate(elbows):
-        shoulder, clear = _angle(a, first + exp(elbow[:, None] * a) @ second, r)
+        shoulder, clear = _angle(a, first + _turn(a, elbow) @ second, r)
         sure &= clear | np.isnan(elbow)
         Q[:, j] = np.column_stack([shoulder, elbow, total - shoulder - elbow]) * signs
-    reached = robot.chain.forward(np.nan_to_num(Q.reshape(-1, 3)))[0].reshape(*Q.shape[:2], 4, 4)
-    Q[np.abs(reached - T[:, None]).max(axis=(2, 3)) > EXACT] = np.nan
+    return Q, sure
+
+
+def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve an arm of six joints for poses T (N, 4, 4): axes 2, 3, 4 are parallel, axes 5 and 6 meet in w (3,).
+
+    The point w [m] is given at q = 0. Returns the solutions (N, 8, 6) [rad], NaN where none exists, and whether (N,)
+    their number is beyond doubt.
+    """
+    a, N = s.axis, len(T)
+    D = T @ np.linalg.inv(s.T)
+    v = D[:, :3, :3] @ w + D[:, :3, 3] - s.point[0]
+    along = v @ a[0]
+    v -= along[:, None] * a[0]
+    firsts, sure = _wave(v @ a[1], -np.cross(a[0], v) @ a[1], a[1] @ (w - s.point[0]) - (a[1] @ a[0]) * along)
+    Q, place = np.full((N, 8, 6), np.nan), 0
+    tilt = a[5] - (a[4] @ a[5]) * a[4]
+    for q1 in firsts:
+        back = _screw(s, 0, -q1) @ D
+        R = back[:, :3, :3]
+        fifths, known = _wave(a[1] @ tilt, a[1] @ np.cross(a[4], a[5]), R @ a[5] @ a[1] - (a[1] @ a[4]) * (a[4] @ a[5]))
+        sure &= known | np.isnan(q1)
+        for q5 in fifths:
+            q6, known = _angle(a[5], np.swapaxes(R, 1, 2) @ a[1], _turn(a[4], -q5) @ a[1])
+            sure &= known | np.isnan(q5)
+            arm, known = _planar(s, 1, back @ _screw(s, 5, -q6) @ _screw(s, 4, -q5))
+            sure &= known | np.isnan(q5)
+            for j in range(2):
+                Q[:, place] = np.column_stack([q1, arm[:, j], q5, q6])
+                place += 1
     return Q, sure
 
 
