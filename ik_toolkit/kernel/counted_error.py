@@ -159,6 +159,15 @@ def shape(task, ends, goal, now, linear, angular, kept):
     return at3(kept, IN.error), at3(kept, IN.error + 3)
 
 
+@inline
+def rows_at(kept, i):
+    """Return the transpose of a 3x3 matrix that an array holds by rows, from index i on.
+
+    Its columns are thus the rows of the stored matrix.
+    """
+    return M3(at3(kept, i), at3(kept, i + 3), at3(kept, i + 6))
+
+
 @inner
 def count_column(kept, linear, angular):
     """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
@@ -166,7 +175,7 @@ def count_column(kept, linear, angular):
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
     linear = linear + angular.cross(at3(kept, IN.arm))
-    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.A).times(angular)
+    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.A).across(angular)
 
 
 @inner
@@ -176,7 +185,7 @@ def count_goal_column(kept, linear, angular):
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
     linear = linear + angular.cross(at3(kept, IN.arm_goal))
-    return rotation_at(kept, IN.L).times(linear), rotation_at(kept, IN.B).times(angular)
+    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
 
 
 @inner
@@ -269,12 +278,13 @@ def add_products(J, first, e, factor, H):
     If `factor` is not 0, add instead `factor` times g g', where g = J e, over the same three errors, is the gradient of half their
     squared norm (but for its sign).
     """
-    errors = at3(e, first)
     for i in range(J.shape[0]):
-        a = at3(J[i], first)
+        gi = J[i, first] * e[first] + J[i, first + 1] * e[first + 1] + J[i, first + 2] * e[first + 2]
         for j in range(i + 1):
-            b = at3(J[j], first)
-            h = a.dot(b) if factor == 0.0 else factor * a.dot(errors) * b.dot(errors)
+            gj = J[j, first] * e[first] + J[j, first + 1] * e[first + 1] + J[j, first + 2] * e[first + 2]
+            h = factor * gi * gj
+            if factor == 0.0:
+                h = J[i, first] * J[j, first] + J[i, first + 1] * J[j, first + 1] + J[i, first + 2] * J[j, first + 2]
             H[i, j] += h
             if i != j:
                 H[j, i] += h
@@ -343,7 +353,7 @@ def add_curvature(state, J, first, e, c, least, H):
     R, G, tip = rotation_at(state.pose, 0), rotation_at(state.goal, 0), at3(state.pose, 9)
     cp, cr = at3(c, first), at3(c, first + 3) * 0.5
     if kind == KIND.part:
-        cp, cr = rotation_at(kept, IN.L).across(cp), rotation_at(kept, IN.A).across(cr)
+        cp, cr = rows_at(kept, IN.L).times(cp), rows_at(kept, IN.A).times(cr)
     if least[0] > 0.0:
         add_products(J, first, e, 0.0, H)
     none = V3(0.0, 0.0, 0.0)
