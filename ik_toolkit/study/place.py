@@ -172,14 +172,14 @@ def place(
             equally many poses, those with fewer reconfigurations come first.
         count: Number of placements to return; fewer if those that were examined are too near each other.
         progress: Called as progress(done) with the number of candidates examined.
-        **options: As for `solve_batch`: tolerances, limits, free_turn, seed, ...; the shapes of a CollisionModel given as
-            avoid_collisions are those of the scene, in the frame of the poses.
+        **options: As for `solve_batch`, but for closest, follow and restarts: tolerances, limits, free_turn, seed, ...; the shapes
+            of a CollisionModel given as avoid_collisions are those of the scene, in the frame of the poses.
 
     Returns:
         The placements, sorted by poses reached, then clearance, margin to the limits and manipulability.
 
     Raises:
-        InvalidOption, InvalidTarget: An argument is wrong.
+        InvalidOption, InvalidTarget: An argument is wrong, or the search would not fit into memory as the poses are too far apart.
         PlaceInterrupted: Ctrl-C; its `result` has the best so far, without paths (KeyboardInterrupt if there are none yet).
     """
     require_robot(robot)

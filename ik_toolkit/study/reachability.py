@@ -95,8 +95,8 @@ def reachability(
         file: An .npz file for the map. Until it is complete, finished parts are in NAME.partial, also if the process is killed; the
             same call then continues from there.
         progress: Called as progress(done) with the number of answers computed so far.
-        **options: As for `solve_batch`: tolerances, seed, limits, avoid_collisions, priority, free_turn, ...; with `priority`, yes
-            means that the solver's status is CONVERGED.
+        **options: As for `solve_batch`, but for closest, follow and restarts: tolerances, seed, limits, avoid_collisions, priority,
+            free_turn, ...; with `priority`, yes means that the solver's status is CONVERGED.
 
     Returns:
         The map.

@@ -155,7 +155,7 @@ class ReachabilityMap(Tabled):
         """
         cell, values = self._answers(poses)[0], self._values(what)
         if what == "manipulability":
-            values = values / max(float(values.max(initial=0.0)), 1e-300)
+            values = values / (float(values.max(initial=0.0)) or 1.0)
         return np.where(self.contains(poses), values[cell], 0.0)
 
     def _values(self, what: str) -> np.ndarray:

@@ -11,6 +11,7 @@ from ..robot.tree import require_one_tip
 from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.registry import find_row
 from ..solvers.solve import Solver
+from ..validate import solver_list
 from .benchmark import wilson
 
 STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share of the reach] counts as stuck.
@@ -55,8 +56,12 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 
     Returns:
         Manipulability (N,) (Yoshikawa 1985), condition number (N,) and smallest singular value (N,).
+
+    Raises:
+        InvalidConfiguration: Q does not fit the robot.
     """
     require_one_tip(robot, "a study of singularities")
+    Q = np.array([robot.check_q(q) for q in Q]).reshape(-1, robot.n)
     J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6] * robot.chain.unit
     J[:, :3] /= robot.chain.scale
     some = robot.chain.forward(np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)]), jacobian=True)[1]
@@ -133,7 +138,7 @@ def escapes(
     Args:
         robot: A robot with one tip.
         targets: (N, 4, 4) poses or (N, 3) positions [m].
-        solvers: Names, classes or instances.
+        solvers: One or several names, classes or instances.
         q0: (n,) start [rad or m].
         offset: Largest distance of the other start in each joint [rad or reaches].
         **options: As for `ik.solve_batch`.
@@ -146,7 +151,7 @@ def escapes(
     q0 = np.asarray(q0, dtype=float)
     moved = np.clip(q0 + offset * rng.uniform(0.5, 1.0, robot.n) * robot.chain.unit, robot.lower, robot.upper)
     found = []
-    for solver in solvers:
+    for solver in solver_list(solvers):
         here = solve_batch(robot, targets, solver, q0=q0, restarts=0, check=0.0, **options)
         beside = solve_batch(robot, targets, solver, q0=moved, restarts=0, check=0.0, **options)
         still = ~here.success & ((np.abs(here.q - q0) / robot.chain.unit).max(axis=1) <= STUCK)

@@ -133,6 +133,9 @@ def test_mistakes_are_named_with_their_row():
         ik.solve_batch(robot, T, q0=q0[:5])
     with pytest.raises(InvalidConfiguration, match="fewer"):
         ik.solve_batch(robot, iter([T[:4], T[4:8]]), q0=q0[:5])
+    with pytest.raises(InvalidConfiguration, match="q0 has 9 rows, more than the 8 targets"):
+        ik.solve_batch(robot, iter([T[:4], T[4:8]]), q0=q0[:9])
+    assert ik.solve_batch(robot, iter([T[:4], T[4:8]]), q0=q0[:8]).success.all()
     with pytest.raises(InvalidTarget, match="not both"):
         ik.solve_batch(robot, iter([T, T[:, :3, 3]]))
 

@@ -154,6 +154,8 @@ def test_questions_to_a_map(dense):
     values, at = found.slice("z", 0.12)
     assert values.shape == found.grid.shape[:2] and abs(at - 0.12) <= 0.05
     assert (values == found.share[:, :, round((at - centres[0, 2]) / 0.1)]).all()
+    nothing = replace(found, states=np.full_like(found.states, 2), manipulability=0.0 * found.manipulability)
+    assert (nothing.score(centres) == 0.0).all()
     for words, call in (
         ("x, y", lambda: found.slice("w")),
         ("0.45", lambda: found.slice("z", 3.0)),

@@ -10,7 +10,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
-from ik_toolkit.errors import InvalidOption
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.study.singularity import escapes, measures
 from ik_toolkit.study.targets import sample_targets, stream_targets
 from ik_toolkit.study.workspace import WorkspaceInterrupted, envelope, workspace
@@ -155,6 +155,9 @@ def test_measures_of_a_planar_arm():
     area = np.abs(np.sin(Q[:, 1])) / robot.chain.scale**2  # links of 1 m: |det J| = sin(theta_2)
     assert np.abs(product - area).max() < 1e-12
     assert condition[0] == np.inf and least[0] == 0.0 and (condition[1:] < 10).all()
+    for bad in ([0.3, 0.0], [[0.3, np.nan]]):
+        with pytest.raises(InvalidConfiguration):
+            measures(robot, bad)
 
 
 def test_escapes_from_the_straight_arm():
@@ -166,6 +169,8 @@ def test_escapes_from_the_straight_arm():
         assert found[name].solved == 0 and found[name].stood_still == 10
         assert found[name].solved_offset == 10
     assert found["state-space"].solved >= 5 and found["state-space"].stood_still == 0
+    (one,) = escapes(robot, line, "dls", np.zeros(3), tolerance=0.02)  # a single solver need not stand in a list
+    assert one.to_dict().keys() == found["dls"].to_dict().keys() and one.solved_offset == 10
 
 
 def test_the_map_shows_failures():

@@ -33,6 +33,7 @@ class Surroundings(ReadOnly):
     """Base class of CollisionModel: obstacles and held shapes; `version` counts their changes."""
 
     robot: Any
+    geometry: Any
     pairs: Any
     margins: Any
     _names: list[str]
@@ -78,12 +79,14 @@ class Surroundings(ReadOnly):
         return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
 
     def contents(self) -> str:
-        """Return a text that differs for models in which other pairs, shapes or poses are tested."""
-        tools = [(str(shape), T.homogeneous.tolist()) for arm in self.robot.arms for shape, T in arm.tool_shapes]
-        shapes = [
-            (name, str(one.shape), one.T.tolist(), one.arm, sorted(one.touch)) for name, one in self._placed.items()
-        ]
-        return repr((self.pairs, self.margins.tolist(), tools, shapes))
+        """Return a text that differs for models in which other pairs, margins, shapes (by their extents) or poses are tested."""
+        shapes = []
+        for one in self.geometry.geometryObjects:
+            one.geometry.computeLocalAABB()  # Coal computes the box of a new shape only when it is asked to.
+            box = one.geometry.aabb_local
+            place = (one.parentJoint, one.placement.homogeneous.tolist())
+            shapes.append((one.name, type(one.geometry).__name__, box.min_.tolist(), box.max_.tolist(), place))
+        return repr((self.pairs, self.margins.tolist(), shapes))
 
     # ------------------------------------------------------------------------------------------------ obstacles
     def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:

@@ -16,6 +16,7 @@ from ...kernel.counted_error import KIND
 from ...kernel.records import AT, SIZE
 from ...robot.robot import Robot
 from ...robot.tree import Tree
+from ...text import how_many
 from ...validate import switch
 from ..options import BatchOptions
 from ..plan import Plan
@@ -145,6 +146,8 @@ def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | Non
                     raise InvalidConfiguration(f"q0 has {len(starts)} rows, fewer than there are targets")
             yield Job(T, chunk.kinds, q0, first)
             first += len(T)
+    if starts is not None and 1 < len(starts) != first:
+        raise InvalidConfiguration(f"q0 has {len(starts)} rows, more than the {how_many(first, 'target')}")
 
 
 def available_cores() -> int:
