@@ -239,12 +239,12 @@ class ArmFit:
         C[np.ix_(at, at)] = np.linalg.inv(A.T @ A + np.diag(known))[: len(at), : len(at)]
         return C * np.outer(self.scales, self.scales)
 
-    def held_out(self, parts: int = 5, seed: int = 0) -> np.ndarray | None:
-        """Return cross-validated errors (N,) [m]: each of `parts` parts of the measurements is left out of a fit in turn.
+    def held_out(self) -> np.ndarray | None:
+        """Return cross-validated errors (N,) [m]: each fifth of the measurements is left out of a fit in turn.
 
         It is None if too few measurements would remain.
         """
-        rows = np.random.default_rng(seed).permutation(np.flatnonzero(self.kept))
+        parts, rows = 5, np.random.default_rng(0).permutation(np.flatnonzero(self.kept))
         found = np.full(len(self.Q), np.nan)
         if (len(rows) - len(rows) // parts - 1) * self.measured.per < self.taken_up(self.kept):
             return None
