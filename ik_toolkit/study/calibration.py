@@ -231,14 +231,10 @@ class Calibration(Tabled):
     # ----------------------------------------------------------------------------------------------------------- text
     def table(self) -> TextTable:
         """Return a table of the errors that the data determine, with their 95 % intervals."""
-        kinds = {one.name: one.turns for one in self.unknowns}
-        rows = [
-            (
-                name,
-                f"{shown(x, kinds[name])} +- {shown(half, kinds[name]).lstrip('+')} {'deg' if kinds[name] else 'mm'}",
-            )
-            for name, (x, half) in self.errors.items()
-        ]
+        kinds, rows = {one.name: one.turns for one in self.unknowns}, []
+        for name, (x, half) in self.errors.items():
+            turns = kinds[name]
+            rows.append((name, f"{shown(x, turns)} +- {shown(half, turns).lstrip('+')} {'deg' if turns else 'mm'}"))
         before, after = self.rms
         out = f", held out {length(self.held_out)}" if self.held_out is not None else ""
         words = f"{len(self.after)} measurements ({self.what}): {length(before)} as drawn, {length(after)} corrected{out} (RMS)"

@@ -99,14 +99,8 @@ class ArmFit:
 
         first = start.copy()
         first[:P][free] /= self.scales[free]
-        made = self._solve(
-            lambda v: at(v)[0],
-            first[used],
-            lambda v: at(v)[1],
-            loss=soft if robust else "linear",
-            x_scale="jac",
-            max_nfev=most,
-        )
+        how = {"loss": soft if robust else "linear", "x_scale": "jac", "max_nfev": most}
+        made = self._solve(lambda v: at(v)[0], first[used], lambda v: at(v)[1], **how)
         self.converged = bool(made.status > 0)
         every = start.copy()
         every[used] = made.x
@@ -245,15 +239,13 @@ class ArmFit:
         It is None if too few measurements would remain.
         """
         parts, rows = 5, np.random.default_rng(0).permutation(np.flatnonzero(self.kept))
-        found = np.full(len(self.Q), np.nan)
+        found, labels = np.full(len(self.Q), np.nan), self.measured.labels
         if (len(rows) - len(rows) // parts - 1) * self.measured.per < self.taken_up(self.kept):
             return None
         for k in range(parts):
             out = np.zeros(len(self.Q), dtype=bool)
             out[rows[k::parts]] = True
-            if self.measured.count and not set(self.measured.labels[out]) <= set(
-                self.measured.labels[self.kept & ~out]
-            ):
+            if self.measured.count and np.setdiff1d(labels[out], labels[self.kept & ~out]).size:
                 return None
             x, z = self.run(self.kept & ~out)
             E = self.errors(x, z)[out][:, :3]

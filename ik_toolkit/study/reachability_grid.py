@@ -115,11 +115,8 @@ def grid_of(
     if (isinstance(region, np.ndarray) and region.ndim == 3) or (isinstance(region, list) and len(region) > 2):
         if resolution is not None or not (isinstance(orientations, str) and orientations == "any"):
             raise InvalidOption("loose poses are answered as they are; omit resolution and orientations")
-        T = floats(
-            np.array([np.asarray(getattr(one, "homogeneous", one)) for one in region]),
-            "poses must be numbers",
-            InvalidTarget,
-        )
+        given = np.array([np.asarray(getattr(one, "homogeneous", one)) for one in region])
+        T = floats(given, "poses must be numbers", InvalidTarget)
         if T.shape[1:] != (4, 4):
             raise InvalidTarget(f"loose poses have the shape (N, 4, 4), not {T.shape}")
         return Grid(np.zeros(3), np.zeros(3), (len(T), 1, 1), poses=T)
@@ -194,10 +191,8 @@ def require_memory(grid: Grid, n: int) -> None:
     """Raise InvalidOption if a study takes more than half of this machine's memory; the message says what would fit."""
     need, have = grid.memory(n), 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if need > have:
-        fits, many = (
-            have / need,
-            f"{grid.answers:,} answers take {need / 1e9:,.3g} GB, more than half of this machine's memory",
-        )
+        fits = have / need
+        many = f"{grid.answers:,} answers take {need / 1e9:,.3g} GB, more than half of this machine's memory"
         if grid.poses is not None:
             raise InvalidOption(f"{many}; some {int(fits * grid.answers):,} fit")
         axes = int((grid.size > 0.0).sum())
