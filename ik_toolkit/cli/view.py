@@ -51,11 +51,6 @@ class ViewTarget(TargetOptions):
     direction: None = None
     tip_axis: None = None
 
-    @property
-    def given(self) -> bool:
-        """Whether --xyz, --matrix or --target is given."""
-        return self.xyz is not None or self.matrix is not None or bool(self.targets)
-
 
 @options("Start and preferences")
 class ViewSolve:
@@ -108,7 +103,7 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
         return
     from ..show.scene import view as make
 
-    aim: Any = target.read(robot.deg) if target.given else None
+    aim: Any = target.read(robot.deg) if target.posed or target.targets else None
     related = relations(target.relative)
     arm = robot.load(robot.choose_tips(aim if target.targets else None, related, target.posed))
     if shown.page is not None:
@@ -123,7 +118,7 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
         what = motion_from_file(arm, shown.motion)
     elif shown.q is not None:
         what = joint_vector(arm, shown.q, "--q", robot.deg)
-    elif target.given:
+    elif aim is not None:
         start = joint_vector(arm, how.q0, "--q0", robot.deg)
         what, solved = _solve(arm, aim, how.solver, start, how.every, {"relative_to": related} if related else {})
         at = what[0] if isinstance(what, list) else what.q

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, whole
 from ..text import length
 from .command import PLOTS, command, flag, option, options
 from .completion import solvers_like
@@ -52,10 +52,6 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
     ik workspace hydrolek_7w -n 1000 --plot map.png
     ik workspace hydrolek_7w --solver lm --solver dls --csv targets.csv
     """
-    if asked.targets < 1:
-        raise InvalidOption(f"--targets must be at least 1, not {asked.targets}")
-    if asked.workers is not None and asked.workers < 1:
-        raise InvalidOption(f"--workers must be at least 1, not {asked.workers}")
     arm = robot.load(robot.tips)
 
     from ..study.workspace import workspace as study
@@ -105,7 +101,9 @@ def _workers(count: int | None) -> Any:
 
     if count is None:
         return nullcontext()
-    return ProcessPoolExecutor(count, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+    return ProcessPoolExecutor(
+        whole(count, "workers"), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+    )
 
 
 def _show(found: Any) -> None:

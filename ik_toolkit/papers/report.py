@@ -72,9 +72,9 @@ class Report:
         lines += ["| " + " | ".join(cell(x, least) for x in row) + " |" for row in rows]
         self._parts.append("\n".join(lines))
 
-    def records(self, key: str, rows: Sequence[dict[str, Any]], least: float = 0.0) -> None:
+    def records(self, key: str, rows: Sequence[dict[str, Any]]) -> None:
         """Add a table (see `table`) from rows that are dicts of values by column name."""
-        self.table(key, [*rows[0]], [[*row.values()] for row in rows], least)
+        self.table(key, [*rows[0]], [[*row.values()] for row in rows])
 
     def number(self, key: str, value: Any) -> Any:
         """Store a number under a key of `data` and return it."""

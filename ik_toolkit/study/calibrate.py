@@ -115,12 +115,8 @@ def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:
 
 def _require_enough(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> None:
     """Raise InvalidTarget if there are too few measured numbers: they must determine about two thirds of the arm's unknowns."""
-    unknowns = (
-        (2 * len(arm.unknowns) + 2) // 3
-        + data.size
-        - 3 * len(data.places if data.places is not None else ())
-        - len(data.pairs)
-    )
+    known = len(data.pairs) + (0 if data.places is None else data.places.size)
+    unknowns = (2 * len(arm.unknowns) + 2) // 3 + data.size - known
     count = len(np.unique(np.column_stack([Q, data.labels]), axis=0))
     if count * data.per < unknowns:
         need = -(-unknowns // data.per)
@@ -186,11 +182,8 @@ def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int,
         fit.x, fit.z = fit.run(fit.kept)
     touched = (f"the {TOUCHED[fit.measured.what]}",) if fit.measured.count else ()
     told_by = {p: tuple(names[k] for k in others) or (touched if seen[p] else ()) for p, others in fixed.items()}
-    return [FixedUnknown(names[p], shared) for p, shared in told_by.items()], (
-        len(names) - len(fixed),
-        int(drawn),
-        max(could, len(names) - len(fixed)),
-    )
+    rank = len(names) - len(fixed)
+    return [FixedUnknown(names[p], shared) for p, shared in told_by.items()], (rank, int(drawn), max(could, rank))
 
 
 def _could_tell(fit: ArmFit) -> int:

@@ -231,14 +231,10 @@ class Calibration(Tabled):
     # ----------------------------------------------------------------------------------------------------------- text
     def table(self) -> TextTable:
         """Return a table of the errors that the data determine, with their 95 % intervals."""
-        kinds = {one.name: one.turns for one in self.unknowns}
-        rows = [
-            (
-                name,
-                f"{shown(x, kinds[name])} +- {shown(half, kinds[name]).lstrip('+')} {'deg' if kinds[name] else 'mm'}",
-            )
-            for name, (x, half) in self.errors.items()
-        ]
+        kinds, rows = {one.name: one.turns for one in self.unknowns}, []
+        for name, (x, half) in self.errors.items():
+            turns = kinds[name]
+            rows.append((name, f"{shown(x, turns)} +- {shown(half, turns).lstrip('+')} {'deg' if turns else 'mm'}"))
         before, after = self.rms
         out = f", held out {length(self.held_out)}" if self.held_out is not None else ""
         words = f"{len(self.after)} measurements ({self.what}): {length(before)} as drawn, {length(after)} corrected{out} (RMS)"
@@ -253,29 +249,17 @@ class Calibration(Tabled):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration as plain numbers, strings and lists."""
-        before, after = self.rms
+        names = "what rank rank_drawn rank_anywhere held_out observability condition converged credible".split()
+        lists = "unsure noise outliers notes T_world_base touched".split()
+        errors = {name: {"value": x, "half_width_95": half} for name, (x, half) in self.errors.items()}
         return {
             "robot": self.drawn.name,
-            "what": self.what,
-            "errors": {name: {"value": x, "half_width_95": half} for name, (x, half) in self.errors.items()},
+            **{name: getattr(self, name) for name in names},
+            **{name: np.array(getattr(self, name)).tolist() for name in lists},
+            **dict(zip(("rms_before", "rms_after"), self.rms, strict=True)),
+            "errors": errors,
             "fixed": {one.fixed: list(one.shared) for one in self.fixed},
-            "rank": self.rank,
-            "rank_drawn": self.rank_drawn,
-            "rank_anywhere": self.rank_anywhere,
-            "unsure": list(self.unsure),
-            "rms_before": before,
-            "rms_after": after,
-            "held_out": self.held_out,
-            "noise": list(self.noise),
-            "outliers": list(self.outliers),
             "reversed": sorted(self.reversed),
-            "observability": self.observability,
-            "condition": self.condition,
-            "T_world_base": self.T_world_base.tolist(),
-            "touched": self.touched.tolist(),
-            "converged": self.converged,
-            "credible": self.credible,
-            "notes": list(self.notes),
         }
 
     def save(self, path: str | Path) -> Path:

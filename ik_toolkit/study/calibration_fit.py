@@ -98,14 +98,8 @@ class ArmFit:
 
         first = start.copy()
         first[:P][free] /= self.scales[free]
-        made = self._solve(
-            lambda v: at(v)[0],
-            first[used],
-            lambda v: at(v)[1],
-            loss=soft if robust else "linear",
-            x_scale="jac",
-            max_nfev=most,
-        )
+        how = {"loss": soft if robust else "linear", "x_scale": "jac", "max_nfev": most}
+        made = self._solve(lambda v: at(v)[0], first[used], lambda v: at(v)[1], **how)
         self.converged = bool(made.status > 0)
         every = start.copy()
         every[used] = made.x
@@ -238,21 +232,19 @@ class ArmFit:
         C[np.ix_(at, at)] = np.linalg.inv(A.T @ A + np.diag(known))[: len(at), : len(at)]
         return C * np.outer(self.scales, self.scales)
 
-    def held_out(self, parts: int = 5, seed: int = 0) -> np.ndarray | None:
-        """Return cross-validated errors (N,) [m]: each of `parts` parts of the measurements is left out of a fit in turn.
+    def held_out(self) -> np.ndarray | None:
+        """Return cross-validated errors (N,) [m]: each fifth of the measurements is left out of a fit in turn.
 
         It is None if too few measurements would remain.
         """
-        rows = np.random.default_rng(seed).permutation(np.flatnonzero(self.kept))
-        found = np.full(len(self.Q), np.nan)
+        parts, rows = 5, np.random.default_rng(0).permutation(np.flatnonzero(self.kept))
+        found, labels = np.full(len(self.Q), np.nan), self.measured.labels
         if (len(rows) - len(rows) // parts - 1) * self.measured.per < self.taken_up(self.kept):
             return None
         for k in range(parts):
             out = np.zeros(len(self.Q), dtype=bool)
             out[rows[k::parts]] = True
-            if self.measured.count and not set(self.measured.labels[out]) <= set(
-                self.measured.labels[self.kept & ~out]
-            ):
+            if self.measured.count and np.setdiff1d(labels[out], labels[self.kept & ~out]).size:
                 return None
             x, z = self.run(self.kept & ~out)
             E = self.errors(x, z)[out][:, :3]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..style import COLOURS, GREY, PALE
-from ..text import TextTable, figure, length
+from ..text import TextTable, figure, first_few, length
 from .measurements import WHAT
 
 ROUGH = 0.005  # [m] Remaining errors above this are too large to be noise of an instrument.
@@ -32,9 +32,7 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
             "axis reversed"
         )
     if found.outliers:
-        rows = ", ".join(map(str, found.outliers[:12])) + (
-            f" and {len(found.outliers) - 12} more" if len(found.outliers) > 12 else ""
-        )
+        rows = first_few([*map(str, found.outliers)], 12)
         far = length(float(found.after[list(found.outliers)].max()))
         said.append(f"left out as outliers (rows from 0): {rows}; off by up to {far}")
     if not placed:
@@ -48,8 +46,7 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
         said.append(f"other poses could tell {found.rank_anywhere - found.rank} more of the errors: see suggest()")
     unsure = found.unsure
     if unsure:
-        some = ", ".join(unsure[:6]) + (f" and {len(unsure) - 6} more" if len(unsure) > 6 else "")
-        said.append(f"hardly told by these data, so mostly assumed as drawn: {some}")
+        said.append(f"hardly told by these data, so mostly assumed as drawn: {first_few(unsure, 6)}")
     if found.implausible:
         remedy = "look at units, labels and rows of the data, or give a larger prior="
         said.append(f"larger than assumed ({remedy}): {', '.join(found.implausible[:6])}")
@@ -62,19 +59,13 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     count = kept * WHAT[found.what]
     if count < FEW * found.rank:
         said.append(f"only {count} numbers for {found.rank} errors: outliers and intervals are uncertain; measure more")
-    rough = found.rms[1] > (5.0 * found.noise[0] if given else ROUGH)
-    if rough:
-        more = (
-            "add 'frames' to parameters"
-            if "frames" not in found.parameters
-            else "look for wrong units, rows, columns of joints or tips, or play in joints"
-        )
+    if found.rms[1] > (5.0 * found.noise[0] if given else ROUGH):
+        more = "look for wrong units, rows, columns of joints or tips, or play in joints"
+        more = more if "frames" in found.parameters else "add 'frames' to parameters"
         said.append(f"what is left, {length(found.rms[1])}, is more than noise: {more}")
-    return (
-        said
-        if found.converged
-        else [*said, "the fit stopped before it had converged; take the errors as a rough answer"]
-    )
+    if not found.converged:
+        said.append("the fit stopped before it had converged; take the errors as a rough answer")
+    return said
 
 
 def page(found: Any) -> str:
@@ -91,27 +82,15 @@ def page(found: Any) -> str:
         " all over)",
         "observability O1, condition": f"{figure(found.observability)}, {figure(found.condition)}",
     }
+    axes, head = "in the axes of each joint's own frame", ("error", "with 95 % interval")
     parts = [
         TextTable(f"Is {found.drawn.name} as drawn?", "", ("", ""), figures.items()),
-        TextTable(
-            "Errors",
-            "in the axes of each joint's own frame",
-            ("error", "with 95 % interval"),
-            found.table().rows,
-            most=1000,
-        ),
+        TextTable("Errors", axes, head, found.table().rows, most=1000),
     ]
     if found.fixed:
         rows = [(one.fixed, ", ".join(one.shared) or "no error: nothing measured depends on it") for one in found.fixed]
-        parts.append(
-            TextTable(
-                "Fixed as drawn",
-                "the measurements cannot tell it from",
-                ("fixed", "shares its motion with"),
-                rows,
-                most=1000,
-            )
-        )
+        words, head = "the measurements cannot tell it from", ("fixed", "shares its motion with")
+        parts.append(TextTable("Fixed as drawn", words, head, rows, most=1000))
     if len(found.touched):
         rows = [(k, *(f"{1e3 * x:.2f} mm" for x in place)) for k, place in enumerate(found.touched.tolist())]
         parts.append(TextTable("Places touched", "as found, base frame", ("", "x", "y", "z"), rows, most=1000))
@@ -161,11 +140,8 @@ def _picture(found: Any) -> str:
             f"<circle cx='{x[k]:.1f}' cy='{y[1, k]:.1f}' r='3.5' fill='{colour}'>"
             f"<title>row {k}: {length(float(found.after[k]))}</title></circle>"
         )
-    words = [
-        (GREY, "as drawn"),
-        (COLOURS[0], "corrected"),
-        *([(COLOURS[1], "outlier, left out")] if found.outliers else []),
-    ]
+    words = [(GREY, "as drawn"), (COLOURS[0], "corrected")]
+    words += [(COLOURS[1], "outlier, left out")] if found.outliers else []
     rows += [
         f"<text x='{left + 10 + 130 * k}' y='{high - 6}' fill='{colour}'>&#9679; {word}</text>"
         for k, (colour, word) in enumerate(words)

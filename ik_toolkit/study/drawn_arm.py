@@ -119,8 +119,8 @@ class DrawnArm:
             ends[1, k] = pin.updateFramePlacement(model, data, self._base).homogeneous
             for i, place in enumerate(joints):
                 before[i, k] = data.oMi[model.parents[place.joint]].homogeneous
-        back = _inverse(ends[0])
-        T = base.homogeneous @ _inverse(ends[1]) @ ends[0]
+        back, to_base = np.linalg.inv(ends)
+        T = base.homogeneous @ to_base @ ends[0]
         J = np.zeros((len(Q), 6, len(self.unknowns)))
         seen = {
             place.joint: back @ before[i] @ model.jointPlacements[place.joint].homogeneous
@@ -136,40 +136,22 @@ class DrawnArm:
         return T, J
 
 
-def _inverse(T: np.ndarray) -> np.ndarray:
-    """Return the inverses of poses (N, 4, 4)."""
-    made = np.tile(np.eye(4), (len(T), 1, 1))
-    made[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
-    made[:, :3, 3] = -np.einsum("nij,nj->ni", made[:, :3, :3], T[:, :3, 3])
-    return made
-
-
 def read_groups(parameters: Any) -> tuple[str, ...]:
     """Return the groups of unknowns asked for, in the order of GROUPS. Raises InvalidOption."""
-    given = (
-        (parameters,)
-        if isinstance(parameters, str)
-        else tuple(parameters)
-        if isinstance(parameters, list | tuple | set)
-        else ()
-    )
+    given = [parameters] if isinstance(parameters, str) else parameters
+    if not isinstance(given, list | tuple | set) or not given:
+        raise InvalidOption(f"parameters are a list of any of {', '.join(GROUPS)}, not {parameters!r:.60}")
     for one in given:
         if one not in GROUPS:
             raise InvalidOption(f"parameters are any of {', '.join(GROUPS)}, not {one!r:.60}.{near_match(one, GROUPS)}")
-    if not given:
-        raise InvalidOption(f"parameters are a list of any of {', '.join(GROUPS)}, not {parameters!r:.60}")
     return tuple(group for group in GROUPS if group in given)
 
 
 def movable(robot: Robot) -> list[int]:
     """Return the joints between base and tip that can move and are in the robot's description, without those of a moving base."""
+    given = {name for block in (robot._given.blocks if robot._given is not None else ()) for name in block.names}
     own = [j for j in robot._path.joints if j in robot._path.owner]
-    given = (
-        None
-        if robot._given is None
-        else {robot.model.getJointId(name) for block in robot._given.blocks for name in block.names}
-    )
-    return [j for j in own if robot.model.names[j] not in robot._of_base and j not in (given or ())]
+    return [j for j in own if robot.model.names[j] not in (*robot._of_base, *given)]
 
 
 def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:

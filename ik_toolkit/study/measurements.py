@@ -54,11 +54,8 @@ class Measurements:
             self.positions = _rows(measured, 3, f"measured positions must have the shape (N, 3){poses}")
         elif what == "distance":
             rows = floats(measured, "measured distances must be numbers", InvalidTarget)
-            rows = _rows(
-                rows if rows.ndim == 2 else rows[:, None],
-                None,
-                "measured distances must be (N,), or (N, 2) with the end first",
-            )
+            form = "measured distances must be (N,), or (N, 2) with the end first"
+            rows = _rows(rows if rows.ndim == 2 else rows[:, None], None, form)
             self.lengths = rows[:, -1]
             if not (self.lengths > 0.0).all():
                 raise InvalidTarget(

@@ -119,17 +119,11 @@ class Placements(Tabled, Sequence[Placement]):
 
     def table(self) -> TextTable:
         """Return a table with a row for each placement: base pose, poses reached, clearance, margin."""
-        rows = [
-            (
-                k,
-                f"{one.x:.3f}, {one.y:.3f}, {one.height:.3f}",
-                angle(one.yaw),
-                one.counts,
-                None if np.isnan(one.clearance) else length(one.clearance),
-                figure(one.margin),
-            )
-            for k, one in enumerate(self.found)
-        ]
+        rows = []
+        for k, one in enumerate(self.found):
+            at = f"{one.x:.3f}, {one.y:.3f}, {one.height:.3f}"
+            clear = None if np.isnan(one.clearance) else length(one.clearance)
+            rows.append((k, at, angle(one.yaw), one.counts, clear, figure(one.margin)))
         head = ("", "base x, y, z [m]", "yaw", "reached", "clearance", "margin")
         return TextTable(
             self.robot, f"{how_many(len(rows), 'place')} to stand", head, rows, "ik.plot(placements) draws the floor."

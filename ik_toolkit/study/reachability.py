@@ -238,9 +238,8 @@ class _Study:
     def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:
         """Store the results of a batch for answers `rows` (m,); those already known to be reached stay so."""
         good = batch.success & self.inside(rows, batch)
-        states = np.where(
-            good, Reach.YES, np.where(batch.proven, Reach.NO, np.maximum(self.states[rows], failed))
-        ).astype(np.int8)
+        left = np.where(batch.proven, Reach.NO, np.maximum(self.states[rows], failed))
+        states = np.where(good, Reach.YES, left).astype(np.int8)
         changed = states != self.states[rows]
         self.states[rows] = states
         self.q[rows[good]] = batch.q[good]
@@ -276,9 +275,8 @@ class _Study:
                 yes = (self.states == Reach.YES).reshape(shape)
                 beside = np.zeros(shape, bool)
                 ahead, behind = [slice(None)] * 4, [slice(None)] * 4
-                ahead[axis], behind[axis] = (
-                    (slice(1, None), slice(None, -1)) if step > 0 else (slice(None, -1), slice(1, None))
-                )
+                parts = slice(1, None), slice(None, -1)
+                ahead[axis], behind[axis] = parts if step > 0 else parts[::-1]
                 beside[tuple(ahead)] = yes[tuple(behind)]
                 new = beside.ravel() & np.isin(self.states, open_) & (flat >> bit & 1 == 0)
                 rows = np.flatnonzero(new)
@@ -293,9 +291,7 @@ class _Study:
         rows = np.sort(np.random.default_rng(seed).permutation(left)[:count])
         found = 0
         for a in range(0, len(rows), 256):  # in small parts, so that Ctrl-C loses little
-            found += self.solve(
-                rows[a : a + 256], Reach.MANY, restarts=EFFORT.audited - 1, seed=self.plan.options.seed + 1
-            )
+            found += self.solve(rows[a : a + 256], Reach.MANY, restarts=EFFORT.audited - 1, seed=seed + 1)
         return Audit(len(left), len(rows), found, EFFORT.audited)
 
     def result(self, audit: Audit | None, options: str) -> ReachabilityMap:

@@ -218,10 +218,8 @@ def require_memory(grid: Grid, n: int) -> None:
     """Raise InvalidOption if a study takes more than half of this machine's memory; the message says what would fit."""
     need, have = grid.memory(n), memory_allowed()
     if need > have:
-        fits, many = (
-            have / need,
-            f"{grid.answers:,} answers take {need / 1e9:,.3g} GB, more than half of this machine's memory",
-        )
+        fits = have / need
+        many = f"{grid.answers:,} answers take {need / 1e9:,.3g} GB, more than half of this machine's memory"
         if grid.poses is not None:
             raise InvalidOption(f"{many}; some {int(fits * grid.answers):,} fit")
         axes = int((grid.size > 0.0).sum())

@@ -194,11 +194,8 @@ class ReachabilityMap(Tabled):
         else:
             sides = " x ".join(str(k) for k in self.grid.shape)
             kinds = ("pose", "poses") if not self.grid.free else ("tool axis", "tool axes")
-            of = (
-                f" x {self.grid.turns} {kinds[self.grid.turns > 1]}"
-                if self.grid.rotations is not None
-                else ", any orientation"
-            )
+            turns = self.grid.turns
+            of = ", any orientation" if self.grid.rotations is None else f" x {turns} {kinds[turns > 1]}"
             what = f"{sides} cells of {length(float(self.grid.size.max()))}{of}, with {self.tip}"
         return TextTable(self.robot, what, ("answer", "number", "share"), rows, f"{self.audit}. ik.plot(map) draws it.")
 

@@ -49,14 +49,10 @@ def suggest_poses(
     require_one_tip(robot, "suggest_poses")
     arm = DrawnArm(robot, read_groups(parameters))
     sigma = read_noise(noise) or NOISE
-    known = np.diag(1.0 / arm.scales(*PRIOR) ** 2)
-    x = (
-        np.random.default_rng(whole(seed, "seed", 0)).normal(size=len(arm.unknowns))
-        * arm.scales(*PRIOR)
-        * 0.3
-        * np.array([one.group != "base" for one in arm.unknowns])
-    )
-    return chosen_poses(arm, x, known, count, what, sigma, PRIOR, avoid_collisions, seed)
+    spread = arm.scales(*PRIOR)
+    x = np.random.default_rng(whole(seed, "seed", 0)).normal(size=len(spread)) * spread * 0.3
+    x[[one.group == "base" for one in arm.unknowns]] = 0.0
+    return chosen_poses(arm, x, np.diag(1.0 / spread**2), count, what, sigma, PRIOR, avoid_collisions, seed)
 
 
 def chosen_poses(

@@ -60,21 +60,14 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
     X = planar.targets(rng, count, l1, l2)
     x, y = X.T
     c2 = np.clip((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1)
-    rows = []
-
+    rows, heading = [], np.arctan(y / x)
     for sign, name in ((-1.0, "upper"), (1.0, "lower")):
         t2 = sign * np.arccos(c2)
         literal, signed = 1 - c2**2, np.sin(t2)  # Eq. (2) prints the square of the sine instead of the sine.
         below, turned = l1 + l2 * c2, np.arctan2(l2 * signed, l1 + l2 * c2)
         for words, t1 in (
-            (
-                f"(4), (5), {name} signs, sine as printed in (2)",
-                np.arctan(y / x) + sign * np.arctan(l2 * literal / below),
-            ),
-            (
-                f"(4), (5), {name} signs, sin(theta_2) with its sign",
-                np.arctan(y / x) + sign * np.arctan(l2 * signed / below),
-            ),
+            (f"(4), (5), {name} signs, sine as printed in (2)", heading + sign * np.arctan(l2 * literal / below)),
+            (f"(4), (5), {name} signs, sin(theta_2) with its sign", heading + sign * np.arctan(l2 * signed / below)),
             (f"the same with atan2 for both arctan, {name} signs", np.arctan2(y, x) + sign * turned),
             (f"corrected (always minus, signed sine, atan2), {name} sign of theta_2", np.arctan2(y, x) - turned),
         ):

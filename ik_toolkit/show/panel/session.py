@@ -94,7 +94,7 @@ class Session:
         return math.degrees(1.0) if self.degrees and self.robot.joint_kinds[i] != "prismatic" else 1.0
 
     def unit(self, i: int) -> str:
-        """Return the unit in which joint i is displayed: 'deg', 'rad' or a length."""
+        """Return the unit in which joint i is displayed: 'deg', 'rad' or 'm'."""
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
     def digits(self, i: int) -> int:
