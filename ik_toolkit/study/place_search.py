@@ -252,19 +252,15 @@ class Candidates:
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
             x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)
             yaw = (turn + 0.5) / S.yaws * 2.0 * np.pi - np.pi
-            found.append(
-                np.column_stack(
-                    [self.low[0] + (x + 0.5) * cell, self.low[1] + (y + 0.5) * cell, yaw, np.full(len(x), height)]
-                )
-            )
+            at = self.low[0] + (x + 0.5) * cell, self.low[1] + (y + 0.5) * cell
+            found.append(np.column_stack([*at, yaw, np.full(len(x), height)]))
         return np.clip(np.concatenate(found), self.low, self.high)
 
     def _cells(self, B: np.ndarray, cell: float) -> np.ndarray:
         """Return the cells (m, 3) of x, y and yaw of base poses B (m, 4, 4); those outside the region are outside the range."""
         turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
-        at = np.floor(
-            np.column_stack([(B[:, :2, 3] - self.low[:2]) / cell, (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws])
-        ).astype(int)
+        yaw = (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws
+        at = np.floor(np.column_stack([(B[:, :2, 3] - self.low[:2]) / cell, yaw])).astype(int)
         at[:, 2] %= SEARCH.yaws
         return at
 
