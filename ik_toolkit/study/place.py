@@ -280,9 +280,8 @@ def _result(study: Candidates, count: int, ordered: bool) -> Placements:
     found = [_placement(study, base, measures) for base in bases]
     found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
     if ordered:  # Paths are computed for the first few only; `rank` then prefers fewer reconfigurations.
-        found = [replace(one, path=_followed(study, one)) for one in found[: place_search.SEARCH.followed]] + found[
-            place_search.SEARCH.followed :
-        ]
+        few = place_search.SEARCH.followed
+        found = [replace(one, path=_followed(study, one)) for one in found[:few]] + found[few:]
         found = sorted(found, key=lambda one: one.rank, reverse=True)
     bases, shares = put_together(study.tried)
     return Placements(study.robot.name, study.robot.for_tips(study.W), tuple(found), bases, shares, study.boxes)
@@ -296,9 +295,8 @@ def _placement(study: Candidates, base: np.ndarray, measures: list[Any]) -> Plac
     clear = np.nan
     if study.scene is not None and good.any():
         looked = q[good][:: max(1, int(good.sum()) // place_search.SEARCH.measured)]
-        clear = min(
-            (near.distance for one in looked if (near := study.scene.distance(one)) is not None), default=np.inf
-        )
+        nearest = filter(None, map(study.scene.distance, looked))
+        clear = min((near.distance for near in nearest), default=np.inf)
     each = [measure(q[good & (tips == tip)][:, at]) for tip, at, measure in measures]
     size, margin = np.concatenate(each, axis=1).mean(axis=1) if good.any() else (0.0, 0.0)
     return Placement(base_poses(base[None])[0], tips, good, q, float(clear), float(margin), float(size))

@@ -256,9 +256,8 @@ class Candidates:
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
             x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)
             yaw = (turn + 0.5) / S.yaws * 2.0 * np.pi - np.pi
-            found.append(
-                np.column_stack([low[0] + (x + 0.5) * cell, low[1] + (y + 0.5) * cell, yaw, np.full(len(x), height)])
-            )
+            at = low[0] + (x + 0.5) * cell, low[1] + (y + 0.5) * cell
+            found.append(np.column_stack([*at, yaw, np.full(len(x), height)]))
         return np.clip(np.concatenate(found), self.low, self.high)
 
     def _floor(self, cell: float) -> tuple[np.ndarray, np.ndarray]:
@@ -268,9 +267,8 @@ class Candidates:
         """
         at = np.concatenate([W[:, :2, 3] for W in self.W.values() if W.ndim == 3])
         near, far = at.min(axis=0) - self.robot.reach, at.max(axis=0) + self.robot.reach
-        skipped = np.maximum(
-            np.floor((near - self.low[:2]) / cell), 0.0
-        )  # whole cells, so that the rest stay where they are
+        # Whole cells are skipped, so that the rest stay where they are.
+        skipped = np.maximum(np.floor((near - self.low[:2]) / cell), 0.0)
         low = self.low[:2] + skipped * cell
         counts = np.maximum(np.ceil((np.minimum(far, self.high[:2]) - low) / cell), 1.0)
         need = 4.5 * 8.0 * SEARCH.yaws * float(counts.prod())  # one array of int32, four of floats
@@ -286,9 +284,8 @@ class Candidates:
 def _cells(B: np.ndarray, low: np.ndarray, cell: float) -> np.ndarray:
     """Return the cells (m, 3) of x, y and yaw of base poses B (m, 4, 4); low: lower corner (2,) of the first cell [m]."""
     turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
-    at = np.floor(np.column_stack([(B[:, :2, 3] - low) / cell, (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws])).astype(
-        int
-    )
+    yaw = (turn + np.pi) / (2.0 * np.pi) * SEARCH.yaws
+    at = np.floor(np.column_stack([(B[:, :2, 3] - low) / cell, yaw])).astype(int)
     at[:, 2] %= SEARCH.yaws
     return at
 
