@@ -301,9 +301,8 @@ def revolved(profile: Any, sections: int) -> Triangles:
     r, z = np.repeat(line[:, :, None], sections, axis=2).transpose(1, 0, 2)
     vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
     number = np.arange(len(vertices)).reshape(len(line), sections)
-    number[line[:, 0] == 0.0] = number[
-        line[:, 0] == 0.0, :1
-    ]  # a point on the axis makes one vertex, any other a ring of them
+    # a point on the axis makes one vertex, any other a ring of them
+    number[line[:, 0] == 0.0] = number[line[:, 0] == 0.0, :1]
     after = np.roll(number, -1, axis=1)
     faces = np.stack([number[:-1], after[:-1], after[1:], number[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 3)
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)

@@ -30,9 +30,8 @@ from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
 from .scene_state import SceneState
 
-_standing: dict[
-    str, Any
-] = {}  # by the text of a part that cells share, the cell of this kernel's notebook that contains it
+# by the text of a part that cells share, the cell of this kernel's notebook that contains it
+_standing: dict[str, Any] = {}
 
 
 class InCell(SceneState):
