@@ -312,12 +312,6 @@ class Deciding(Plan):
         """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
-    @property
-    def box(self) -> np.ndarray:
-        """Lower and upper limits (2, n) [rad]."""
-        free = np.full(self.robot.n, np.inf)
-        return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
-
     def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """Return all solutions of T (4, 4), within the limits or not, each angle shifted by 2 pi k to be nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[SIZE.weights + self.robot.n :], T)

@@ -103,6 +103,12 @@ class Plan:
         return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
 
     @property
+    def box(self) -> np.ndarray:
+        """Lower and upper limits (2, n) [rad or m] of the joints, infinite if the options leave limits out."""
+        free = np.full(self.robot.n, np.inf)
+        return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
+
+    @property
     def _few(self) -> dict[str, int]:
         return {} if self.row.closed else {"restarts": FEW - 1}
 
