@@ -46,7 +46,7 @@ class CertainLists(NamedTuple):
     notice: str  # text that says that q0 was clamped, or ""
 
     def rows(self, k: int) -> np.ndarray:
-        """Return the rows of `table` that belong to pose k."""
+        """Return the rows of `table`, one for each solution, that belong to pose number k."""
         first, kept = self.notes[k, :2].tolist()
         return self.table[int(first) : int(first + kept)]
 
@@ -80,7 +80,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         return _find(solver, target, q0, starts, count, all_turns, made)
     each, lists = [], []
     if plan:
-        target = np.require(target, requirements=["C", "W"])  # for other arrays numba would compile again
+        target = np.require(target, requirements=["C", "W"])  # for arrays of another layout numba would compile again
     for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
         some = target[a : a + 1024]
         made = _certain(plan, some, q0, count) if plan else None

@@ -99,7 +99,7 @@ class Plan:
 
     @functools.cached_property
     def retried(self) -> "Plan":
-        """The same plan with as many attempts as `unlimited` has, to test whether others reach the target inside the limits."""
+        """The same plan with as many attempts as `unlimited`, to test whether further ones reach the target inside the limits."""
         return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
 
     @property
@@ -113,7 +113,7 @@ class Plan:
         return {} if self.row.closed else {"restarts": FEW - 1}
 
     def search(self, **options: Any) -> "Plan":
-        """Return a plan of the general search with the same options, some of them changed."""
+        """Return a plan of the general search for the same robot and options, some of them changed."""
         asked = replace(self.options, **options)
         row = find_row(search_for(asked.priority))
         return Plan(self.robot, row, row.load()(), asked)

@@ -30,7 +30,7 @@ N = 7
 
 @compiled
 class MotionEnd(NamedTuple):
-    """Codes of the reasons why a self-motion curve ends."""
+    """Numbers for the reasons why a self-motion curve ends."""
 
     closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
@@ -40,7 +40,7 @@ class MotionEnd(NamedTuple):
 
 @compiled
 class ContinuationConstants(NamedTuple):
-    """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
+    """Constants of the numerical steps along a self-motion; joint values in rad, lengths over the arm's reach."""
 
     slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
     longest: float = 0.1  # longest step [norm of the joint motion, rad]
@@ -61,7 +61,7 @@ END, FOLLOWING = MotionEnd(), ContinuationConstants()
 
 
 class SelfMotion(NamedTuple):
-    """A self-motion within the limits: a curve of solutions of one pose."""
+    """A self-motion within the limits: a curve of joint values along which the arm moves while its tip stays."""
 
     points: np.ndarray  # (M, 7) [rad], joint values modulo 2 pi; the points where a joint reverses are among them
     lower: np.ndarray  # (7,) least value of each joint on the curve, at an end or where the joint reverses (a fold)
@@ -267,7 +267,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         return (x - middle + np.pi) % TAU - np.pi
 
     def curve(points: np.ndarray, ends: tuple) -> SelfMotion:
-        """Return a part of the curve, shifted by 2 pi k inside the limits, or nearest 0."""
+        """Return points (M, 7) of a self-motion as a SelfMotion, shifted by 2 pi k inside the limits, or nearest 0."""
         turns = np.rint((0.5 * (points.min(axis=0) + points.max(axis=0)) - middle) / TAU)
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)

@@ -55,7 +55,7 @@ class Certificate(NamedTuple):
 
     @property
     def message(self) -> str:
-        """The certificate in one sentence."""
+        """One sentence on whether there may be other solutions, and why."""
         real = self.roots - self.complex
         if self.status == "CERTAIN" and self.decomposed:
             return f"{real} of {self.roots} branches of the arm's geometry are distinct and real: there is no other solution"

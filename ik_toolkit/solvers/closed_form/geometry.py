@@ -58,7 +58,7 @@ class Branches(NamedTuple):
     q: np.ndarray  # (K, n) the branches [rad or m], angles shifted by 2 pi k to be nearest the reference
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
-    complete: bool  # Whether these branches are proven to be all.
+    complete: bool  # Whether it is proven that there are no other branches.
     # Text for the message that says at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''.
     words: str
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
@@ -69,7 +69,7 @@ class Branches(NamedTuple):
 
 
 class Screws(NamedTuple):
-    """The joint axes of a chain at q = 0 in base axes."""
+    """The joint axes of a chain at q = 0, in the axes of the base."""
 
     turns: np.ndarray  # (n,) whether each joint is revolute
     axis: np.ndarray  # Unit direction of each axis (n, 3).

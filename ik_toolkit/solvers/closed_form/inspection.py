@@ -262,5 +262,5 @@ class Inspection(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
+        """Return the compiled function that solves targets with this closed form, called as `protocol.ClosedForm.loop` says."""
         return solve_inspection

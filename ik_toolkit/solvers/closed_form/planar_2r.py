@@ -193,5 +193,5 @@ class Planar2R(NamedTuple):
         return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
+        """Return the compiled function that solves targets with this closed form, called as `protocol.ClosedForm.loop` says."""
         return solve_planar
