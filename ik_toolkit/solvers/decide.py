@@ -17,7 +17,8 @@ from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import VERDICT
 from ..kernel.records import AT, SIZE, copy
-from .closed_form.elimination import STEPS, N, forms_of, into_limits, solutions_of
+from .closed_form.elimination import STEPS, N, forms_of, solutions_of
+from .closed_form.geometry import into_limits
 from .closed_form.nearest import choose
 from .options import Options
 from .plan import Plan

@@ -14,8 +14,8 @@ from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
 from ..text import how_many
 from ..validate import FLOAT, switch
-from .closed_form.elimination import forms_of, into_limits, solutions_of
-from .closed_form.geometry import SNAP, Family, read_screws
+from .closed_form.elimination import forms_of, solutions_of
+from .closed_form.geometry import SNAP, Family, into_limits, read_screws
 from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
 from .enumerate import distinct_rows, search_solutions, spread_rows

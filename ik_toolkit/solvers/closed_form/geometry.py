@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...compile.jit import inline, shared
+from ...compile.jit import cached, inline, shared
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
 from ...kernel.checks import CODE
@@ -133,6 +133,18 @@ def clamp(x, low, high):
     if x < low:
         return (low, 0.0) if low - x <= SNAP else (x, low - x)
     return x, 0.0
+
+
+@cached
+def into_limits(Q, box, out, excess):
+    """Fill out (K, n) with solutions Q (K, n) [rad], each angle shifted by 2 pi k into its limits and near a reference.
+
+    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) receives by how much each
+    joint breaks its limits [rad].
+    """
+    for k in range(Q.shape[0]):
+        for i in range(Q.shape[1]):
+            out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
 
 
 @inline
