@@ -148,30 +148,24 @@ def into_limits(Q, box, out, excess):
 
 
 @inline
-def legal_start(ends, opt, q0):
-    """Return whether the start q0 (n,) [rad or m] is finite and, if limits are kept, inside them; True if the caller gave no start.
-
-    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`).
-    """
-    o = read(Orders, opt)
-    return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
-
-
-@inline
 def copy_limits(ends, opt, q0, box):
     """Fill the rows of box (4, n): lower limits, upper limits, reference (q0 if given, else home) [rad or m], distance weights.
 
-    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`); q0 (n,): start of the call.
+    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`); q0 (n,): start of the call. Returns False,
+    with box unfinished, if the caller gave a start that is not finite or, if limits are kept, outside them.
     """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
+    limited = o.limits > 0.0
+    if o.given > 0.0 and not legal(q0, chain, limited):
+        return False
     for i in range(n):
         unit = chain.unit(i)
-        limited = o.limits > 0.0
         box[0, i] = chain.lower(i) * unit if limited else -np.inf
         box[1, i] = chain.upper(i) * unit if limited else np.inf
         box[2, i] = q0[i] if o.given > 0.0 else chain.home(i) * unit
         box[3, i] = 1.0 / (max(opt[SIZE.weights + i], LIGHTEST) * unit * unit)
+    return True
 
 
 @inline

@@ -28,7 +28,6 @@ from .geometry import (
     across,
     angle_about,
     copy_limits,
-    legal_start,
     measure_tip,
     no_fit,
     read_screws,
@@ -144,10 +143,9 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
-        if not legal_start(ends, opt, q0):
+        if not copy_limits(ends, opt, q0, box):
             out[t, 0] = CODE.bad_start
             continue
-        copy_limits(ends, opt, q0, box)
         near_angles(p, box, near)
         wrist_pose(p, T[t], P)
         d, count = choose_lift(p, P, box, spans)

@@ -22,7 +22,6 @@ from .geometry import (
     across,
     angle_about,
     copy_limits,
-    legal_start,
     legal_turn,
     measure_tip,
     no_fit,
@@ -115,10 +114,9 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
-        if not legal_start(ends, opt, q0):
+        if not copy_limits(ends, opt, q0, box):
             out[t, 0] = CODE.bad_start
             continue
-        copy_limits(ends, opt, q0, box)
         near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]
         x, y, off = to_plane(p, T[t])
         gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
