@@ -6,7 +6,6 @@ If a certified list has no member within the limits, that is a numerical proof t
 
 import functools
 import math
-from copy import deepcopy
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -247,14 +246,6 @@ class Deciding(Plan):
         """The larger of both tolerances [rad, or length over the arm's size]."""
         size = self.exact.orders(POSES, True)[-1]
         return max(self.options.position_tolerance / size, self.options.orientation_tolerance)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Make the plan picklable: it is made again from robot, solver and options."""
-        return Deciding, super().__reduce__()[1]
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Deciding":
-        """Return the same plan for a copied robot."""
-        return Deciding(*deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
         """Solve one target T (1, 4, 4) from start (1, n); return its result row (width,).

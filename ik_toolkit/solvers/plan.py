@@ -121,11 +121,11 @@ class Plan:
     def __reduce__(self) -> tuple[Any, ...]:
         """Make the plan picklable: the compiled loop is bound again. Raises InvalidOption if the solver cannot be imported."""
         importable(self.rule, f"the rule of '{self.row.name}'")
-        return Plan, (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
+        return type(self), (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
         """Return the same plan for a copied robot."""
-        return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
+        return type(self)(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
     @property
