@@ -25,7 +25,7 @@ def error_size(rows: np.ndarray, length: float) -> np.ndarray:
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
-    """Return a compiled-style solve function that takes a closed form, then searches iteratively for targets it has not solved.
+    """Return a function that solves with a closed form, then searches iteratively for the targets that it has not solved.
 
     plan: the closed form bound to a robot; closed: its own solve function (`protocol.ClosedForm.loop`). The returned function
     takes the arguments of `kernel.search.entry`. The search has the plan's options, and keeps a joint that the closed form fixes

@@ -6,7 +6,6 @@ If a certified list has no member within the limits, that is a numerical proof t
 
 import functools
 import math
-from copy import deepcopy
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -17,7 +16,8 @@ from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import VERDICT
 from ..kernel.records import AT, SIZE, copy
-from .closed_form.elimination import STEPS, N, forms_of, into_limits, solutions_of
+from .closed_form.elimination import STEPS, N, forms_of, solutions_of
+from .closed_form.geometry import into_limits
 from .closed_form.nearest import choose
 from .options import Options
 from .plan import Plan
@@ -247,14 +247,6 @@ class Deciding(Plan):
         size = self.exact.orders(POSES, True)[-1]
         return max(self.options.position_tolerance / size, self.options.orientation_tolerance)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Make the plan picklable: it is made again from robot, solver and options."""
-        return Deciding, super().__reduce__()[1]
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Deciding":
-        """Return the same plan for a copied robot."""
-        return Deciding(*deepcopy((self.robot, self.row, self.rule, self.options), memo))
-
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
         """Solve one target T (1, 4, 4) from start (1, n); return its result row (width,).
 
@@ -311,12 +303,6 @@ class Deciding(Plan):
     def within(self) -> float:
         """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
-
-    @property
-    def box(self) -> np.ndarray:
-        """Lower and upper limits (2, n) [rad]."""
-        free = np.full(self.robot.n, np.inf)
-        return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
     def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
         """Return all solutions of T (4, 4), within the limits or not, each angle shifted by 2 pi k to be nearest to `near` (n,)."""

@@ -8,13 +8,14 @@ import numpy as np
 from ..errors import InvalidOption, whole
 from ..kernel.checks import is_rigid
 from ..kernel.counted_error import AXIS, KIND
+from ..kernel.elimination.binding import make_arm
 from ..kernel.kinematics import TAU
 from ..kernel.records import SIZE
 from ..robot.rotation import rpy_matrix
 from ..text import how_many
 from ..validate import FLOAT, switch
-from .closed_form.elimination import forms_of, into_limits, solutions_of
-from .closed_form.geometry import SNAP, Family
+from .closed_form.elimination import forms_of, solutions_of
+from .closed_form.geometry import SNAP, Family, into_limits, read_screws
 from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
 from .enumerate import distinct_rows, search_solutions, spread_rows
@@ -25,8 +26,10 @@ from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
-SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
-# two solutions are the same if no joint differs by more than this [rad]; for a position with free orientation each is found twice
+# if the least singular value of the Jacobian [m] is smaller at the end of a self-motion, the arm is called singular there
+SINGULAR = 1e-3
+# Two solutions are the same if no joint differs by more than this [rad]. The elimination lists each solution twice for a position
+# with free orientation.
 APART = 1e-6
 
 
@@ -34,14 +37,16 @@ class CertainLists(NamedTuple):
     """Certified lists of the solutions of N poses; the `Solutions` of a pose are made when they are asked for."""
 
     plan: Plan
-    final: bool  # whether the lists need no further step: no collisions, constraints or Pinocchio to ask
-    table: np.ndarray  # (M, 3 + n) the rows of `polish.list_with` of all poses
+    # whether nothing is left to check: neither collisions, constraints nor a check by Pinocchio are asked for
+    final: bool
+    # (M, 3 + n) a row for each solution: position error [m], rotation error [rad], distance from q0, q [rad]
+    table: np.ndarray
     # (N, .) for each pose the index of its first row, the number of its rows, and evidence that these are all (`list_certain`)
     notes: np.ndarray
     notice: str  # text that says that q0 was clamped, or ""
 
     def rows(self, k: int) -> np.ndarray:
-        """Return the rows of `table` that belong to pose k."""
+        """Return the rows of `table`, one for each solution, that belong to pose number k."""
         first, kept = self.notes[k, :2].tolist()
         return self.table[int(first) : int(first + kept)]
 
@@ -59,12 +64,13 @@ class CertainLists(NamedTuple):
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
-    """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
+    """Return what `Solver.all` does: Solutions of a target, or a SolutionsBatch of targets (N, 4, 4) or (N, 3)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
     if isinstance(target, list | tuple):  # a list of targets, or one target as nested lists
         each_one = [getattr(one, "homogeneous", one) for one in target]
         target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
-    shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)  # a target of a Tree has a leading axis
+    # each target of a Tree has one more axis, that of its tips
+    shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)
     several = isinstance(shape, tuple) and len(shape) == 3 + places - (shape[-1:] == (3,))
     plan = solver.lister if is_plain(solver, target, several) else None
     if not several:
@@ -74,7 +80,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         return _find(solver, target, q0, starts, count, all_turns, made)
     each, lists = [], []
     if plan:
-        target = np.require(target, requirements=["C", "W"])  # numba compiles other arrays as another type
+        target = np.require(target, requirements=["C", "W"])  # for arrays of another layout numba would compile again
     for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
         some = target[a : a + 1024]
         made = _certain(plan, some, q0, count) if plan else None
@@ -87,7 +93,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
 
 
 def is_plain(solver: Any, target: Any, several: bool) -> bool:
-    """Return whether one target, or several, are an array of poses for a robot with one tip that need no conversion."""
+    """Return whether `target` is what compiled code takes: poses of one tip as floats, (4, 4) or, if `several`, (N, 4, 4)."""
     return type(target) is np.ndarray and target.dtype is FLOAT and target.shape[several:] == solver._pose == (4, 4)
 
 
@@ -129,7 +135,8 @@ def _find(
     if not len(found):
         failed = solver(target, q0)
         if failed.success:
-            # This answer lies between the samples of a family, or within the tolerances of an exact solution that breaks a limit.
+            # This answer lies on a self-motion between its listed samples, or within the tolerances of an exact solution that
+            # breaks a limit.
             turned = None if failed.orientation_error is None else np.array([failed.orientation_error])
             errors = np.array([failed.position_error]), turned
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
@@ -195,11 +202,8 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
     """Return the compiled code's options, the closed form's parameters, and the box (4, n) of limits, reference and weights."""
     kept = plan.memo
     if kinds not in kept:
-        robot = plan.robot
-        opt = plan.orders(kinds, True)
-        free = np.full(robot.n, np.inf)
-        lower, upper = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
-        box = np.vstack([lower, upper, robot.home, 1.0 / robot.chain.unit**2])
+        robot, opt = plan.robot, plan.orders(kinds, True)
+        box = np.vstack([plan.box, robot.home, 1.0 / robot.chain.unit**2])
         kept[kinds] = (opt, opt[SIZE.weights + robot.n :], box)
     return kept[kinds]
 
@@ -273,15 +277,15 @@ def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
 
 
 # ------------------------------------------------------------------------------------------------------------- free rotations
-# A free rotation acts like one more revolute joint at the tip: five revolute joints with a free turn make six, and so do three with
-# a position as target, whose three rotations are free.
+# A free rotation acts like one more revolute joint at the tip. Five revolute joints and a target with one free rotation make six;
+# so do three revolute joints and a position, which leaves three rotations free.
 def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
     """Return the axes (M, 3) of the tip about which it may turn, if the target has no other freedom; None otherwise."""
     robot, (counts, *others) = plan.robot, what_counts(plan.robot, plan.options)
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
     if kinds == (KIND.position,):
-        # the position needs three free rotations: any three axes in general position
+        # a position leaves three rotations free, about any three axes that are not coplanar
         return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None
     if kinds == POSES:
         return None if counts.free_turn is None else np.array([counts.free_turn])
@@ -289,13 +293,10 @@ def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
 
 
 def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
-    """Return the array (52,) that describes an arm with its virtual joints, see `answer.solve_loops`.
+    """Return the array (52,) of `make_arm` for an arm with each free rotation of its target added as a revolute joint at the tip.
 
-    None unless there are six joints.
+    None unless these are six joints in all.
     """
-    from ..kernel.elimination.binding import make_arm
-    from .closed_form.geometry import read_screws
-
     robot, axes = plan.robot, free_axes(plan, kinds)
     if axes is None or robot.n + len(axes) != 6 or len(plan.held) or robot.slides.any():
         return None
@@ -322,13 +323,11 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
         if not any(np.abs((q - other + np.pi) % (2 * np.pi) - np.pi).max() < APART for other in each):
             each.append(q)
     Q = np.array(each).reshape(-1, robot.n)
-    free = np.full(robot.n, np.inf)
-    limits = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
     q, excess = np.empty_like(Q), np.empty_like(Q)
-    into_limits(Q, np.array([*limits, start[0]]), q, excess)
+    into_limits(Q, np.vstack([plan.box, start]), q, excess)
     worst = excess.max(axis=1, initial=0.0)
     if ((worst > 0.0) & (worst < BORDER)).any():
-        return None  # It cannot be decided whether that solution keeps its limits.
+        return None  # Rounding decides whether a solution so close to a limit keeps it.
     legal = q[worst == 0.0]
     found = search_solutions(plan, T, kinds, start, 0, count, legal)
     if len(found) != len(legal) or found.families:
@@ -342,7 +341,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Sample the self-motions of a seven-joint arm at T (1, 4, 4): return Solutions or None, and a text on what was searched."""
+    """Return Solutions sampled from self-motions of a seven-joint arm at T (1, 4, 4), or None; and a text on what was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
@@ -352,8 +351,7 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
     ]
     if not curves:
         return None, where
-    free, rows = np.full(robot.n, np.inf), []
-    box = np.array([robot.lower, robot.upper] if plan.options.limits else [-free, free])
+    box, rows = plan.box, []
     for curve in curves[:count]:
         Q, excess = np.empty_like(curve.points), np.empty_like(curve.points)
         into_limits(curve.points, np.vstack([box, start]), Q, excess)

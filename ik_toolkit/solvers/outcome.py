@@ -36,7 +36,7 @@ class SolveRecord(NamedTuple):
 
     @property
     def given(self) -> bool:
-        """Whether the caller gave q0."""
+        """Whether the caller gave a start (q0)."""
         return bool(self.q0)
 
     @property

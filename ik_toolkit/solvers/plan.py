@@ -99,15 +99,21 @@ class Plan:
 
     @functools.cached_property
     def retried(self) -> "Plan":
-        """The same plan with as many attempts as `unlimited` has, to test whether others reach the target inside the limits."""
+        """The same plan with as many attempts as `unlimited`, to test whether further ones reach the target inside the limits."""
         return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lower and upper limits (2, n) [rad or m] of the joints, infinite if the options leave limits out."""
+        free = np.full(self.robot.n, np.inf)
+        return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
     @property
     def _few(self) -> dict[str, int]:
         return {} if self.row.closed else {"restarts": FEW - 1}
 
     def search(self, **options: Any) -> "Plan":
-        """Return a plan of the general search with the same options, some of them changed."""
+        """Return a plan of the general search for the same robot and options, some of them changed."""
         asked = replace(self.options, **options)
         row = find_row(search_for(asked.priority))
         return Plan(self.robot, row, row.load()(), asked)
@@ -115,11 +121,11 @@ class Plan:
     def __reduce__(self) -> tuple[Any, ...]:
         """Make the plan picklable: the compiled loop is bound again. Raises InvalidOption if the solver cannot be imported."""
         importable(self.rule, f"the rule of '{self.row.name}'")
-        return Plan, (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
+        return type(self), (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
         """Return the same plan for a copied robot."""
-        return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
+        return type(self)(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
     @property

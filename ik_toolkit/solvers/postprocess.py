@@ -56,7 +56,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Finish the answer of a search that has not converged, see `finish_failures`."""
+    """Return the record of a failed search after what a failure is due: more time if allowed, a test of limits, the closest q."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
     # TOO_FAR, which may occur in every cycle of a control loop, is not among these.

@@ -43,7 +43,7 @@ class Asked:
 
     @property
     def position_only(self) -> bool:
-        """Whether the target of every tip is a position."""
+        """Whether the target of every tip is a position, without an orientation."""
         return all(kind == KIND.position for kind in self.kinds)
 
     @property
@@ -101,7 +101,7 @@ class Rule(Protocol):
         return {}
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve (see `kernel.search.entry`)."""
+        """Return the compiled function that solves targets with this rule; `kernel.search.entry` describes its arguments."""
         return entry(type(self))
 
     def lanes(self) -> Callable | None:

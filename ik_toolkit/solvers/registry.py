@@ -150,7 +150,7 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
 
 
 def is_solver_file(text: str) -> bool:
-    """Return whether a solver is given as FILE.py:CLASS."""
+    """Return whether a text names a solver class in a file, as FILE.py:CLASS, instead of a registered solver."""
     return ".py:" in text or text.endswith(".py")
 
 

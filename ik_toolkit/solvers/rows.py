@@ -154,7 +154,8 @@ ROWS: tuple[Row, ...] = (
         "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
         "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
         "Nocedal and Wright 2006, ch. 18",
-        # First 48 attempts with all errors at one level, if the arm has as many joints as errors, then at most 30 by level.
+        # If the arm has as many joints as there are errors, 48 attempts take all errors at once; then at most 30 take them by
+        # priority.
         search=Length(40, 78, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(60, 108, (60.0, 0.25, 200.0, 0.4)),
         tracks=False,

@@ -30,7 +30,7 @@ N = 7
 
 @compiled
 class MotionEnd(NamedTuple):
-    """Codes of the reasons why a self-motion curve ends."""
+    """Numbers for the reasons why a self-motion curve ends."""
 
     closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
@@ -40,7 +40,7 @@ class MotionEnd(NamedTuple):
 
 @compiled
 class ContinuationConstants(NamedTuple):
-    """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
+    """Constants of the numerical steps along a self-motion; joint values in rad, lengths over the arm's reach."""
 
     slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
     longest: float = 0.1  # longest step [norm of the joint motion, rad]
@@ -51,7 +51,8 @@ class ContinuationConstants(NamedTuple):
     damping: float = 1e-12  # damping of these Newton steps
     level: float = 1e-5  # a joint that moves by a smaller share of a step counts as reversing there
     same: float = 1e-6  # a point lies on a curve if it is nearer than this [rad]
-    past: int = 64  # index of the first point at which closing is tested, then at every doubled index
+    # the curve is also closed if it returns to its point number 64, 128, 256, ... (it may have switched to another curve)
+    past: int = 64
     halvings: int = 40  # number of bisections that locate an end of a curve
     points: int = 2000  # highest number of points of a curve in each direction
 
@@ -60,7 +61,7 @@ END, FOLLOWING = MotionEnd(), ContinuationConstants()
 
 
 class SelfMotion(NamedTuple):
-    """A self-motion within the limits: a curve of solutions of one pose."""
+    """A self-motion within the limits: a curve of joint values along which the arm moves while its tip stays."""
 
     points: np.ndarray  # (M, 7) [rad], joint values modulo 2 pi; the points where a joint reverses are among them
     lower: np.ndarray  # (7,) least value of each joint on the curve, at an end or where the joint reverses (a fold)
@@ -70,7 +71,7 @@ class SelfMotion(NamedTuple):
 
 @inline
 def onto_pose(p):
-    """Bring p.desk.q onto the target by the least joint motion; return whether it is there. p.desk.J is its Jacobian."""
+    """Move the joints p.desk.q of the problem p by least motion onto its target; return whether it is met. Sets p.desk.J."""
     s = p.desk
     for _ in range(FOLLOWING.newton):
         e = p.evaluate(s.q)
@@ -87,7 +88,7 @@ def onto_pose(p):
 
 @inline
 def direction_at(p, box, t, u):
-    """Write to u (7,) the unit tangent of the self-motion at p.desk.q that is nearest the direction t (7,); return their cosine."""
+    """Write to u (7,) the unit tangent of the self-motion at p.desk.q nearest the direction t (7,), and return their cosine."""
     s, size, cosine = p.desk, 0.0, 0.0
     for i in range(N):
         s.w[i] = 1.0
@@ -103,7 +104,7 @@ def direction_at(p, box, t, u):
 
 @inline
 def step_along(p, box, q, t, h, x, u):
-    """Write to x (7,) the point a step h from q along t (7,), and to u the tangent there; return whether the step is acceptable."""
+    """Step h [rad] from q along t (7,) on the self-motion, to x with the tangent u (7,); return whether the curve bends little."""
     for i in range(N):
         p.desk.q[i] = q[i] + h * t[i]
     if not onto_pose(p):
@@ -117,7 +118,7 @@ def step_along(p, box, q, t, h, x, u):
 
 @inline
 def passes(p, box, q, t, h, point, x, u):
-    """Return whether a point (7,), modulo 2 pi, lies on the curve within the step h from q along t."""
+    """Return whether a point (7,), modulo 2 pi, lies on the self-motion within the step h [rad] from q (7,) along t (7,)."""
     off, a = 0.0, 0.0
     for i in range(N):
         d = point[i] - q[i]
@@ -143,7 +144,7 @@ def passes(p, box, q, t, h, point, x, u):
 
 @inline
 def turning_point(p, box, q, t, h, i, x, u):
-    """Write to x (7,) the point within the step h where joint i reverses, by bisection; return the length of the step to it."""
+    """Find by bisection the point x (7,) within the step h [rad] from q along t where joint i reverses; return the step to it."""
     low, high = 0.0, h
     for _ in range(FOLLOWING.halvings // 2):
         middle = 0.5 * (low + high)
@@ -156,12 +157,12 @@ def turning_point(p, box, q, t, h, i, x, u):
 
 @cached
 def follow(rows, ends, opt, T, seeds, seen, first, out):
-    """Follow the curve through seed number `first`, without limits, and mark the seeds on it in `seen`.
+    """Follow the self-motion through seed number `first`, without limits, and mark the seeds on it in `seen`.
 
     Every point where a joint reverses is added, so that each joint moves monotonically from point to point. rows, ends, opt:
-    the arrays of a plan; T (4, 4): target [m]; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on a curve; out (2, points, 7)
-    receives the curve forwards and backwards, each from the seed on. Returns the numbers of points (2,), and why the curve ends in
-    each direction (2,), see `MotionEnd`.
+    geometry, limits and options of a plan's chain; T (4, 4): target [m]; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on
+    a curve found so far; out (2, points, 7) receives the curve forwards and backwards, each from the seed on. Returns the numbers
+    of points (2,), and the reason (`MotionEnd`) why the curve ends in each direction (2,).
     """
     p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
@@ -222,7 +223,7 @@ def follow(rows, ends, opt, T, seeds, seen, first, out):
 
 @inline
 def first_direction(p, box, y, v, start):
-    """Write to start (7,) the tangent of the self-motion at p.desk.q, its largest component positive; y, v: scratch."""
+    """Write to start (7,) the unit tangent of the self-motion at p.desk.q, largest component positive; y, v (7,): scratch."""
     best = -1.0
     for i in range(N):
         for k in range(N):
@@ -236,7 +237,7 @@ def first_direction(p, box, y, v, start):
 
 @cached
 def cross(rows, ends, opt, T, a, b, i, value, y):
-    """Write to y (7,) the point between the neighbours a and b on a curve where joint i has `value`; return its share of a to b."""
+    """Write to y (7,) the point between a and b (7,) on a self-motion where joint i has `value`; return its share of the way."""
     p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
     low, high = 0.0, 1.0
@@ -254,10 +255,10 @@ def cross(rows, ends, opt, T, a, b, i, value, y):
 
 
 def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any) -> list[SelfMotion]:
-    """Cut a curve (M, 7) at the limits (2, 7), and return the parts that keep them.
+    """Cut a self-motion, given by points (M, 7), at the joint limits (2, 7) [rad]; return the parts inside the limits.
 
-    stops: why the curve ends on both sides (`MotionEnd`). A joint is at a limit also modulo 2 pi. crossing(a, b, joint, value): as
-    `cross`, returns the share and the point.
+    stops: why the curve ends on both sides (`MotionEnd`). A limit shifted by 2 pi k is also a limit. crossing(a, b, joint, value):
+    function that returns the point between a and b where the joint has that value, after its share of the way, as `cross` does.
     """
     half = 0.5 * (limits[1] - limits[0])
     middle = np.where(np.isfinite(half), limits[0], 0.0) + np.where(np.isfinite(half), half, 0.0)
@@ -267,7 +268,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         return (x - middle + np.pi) % TAU - np.pi
 
     def curve(points: np.ndarray, ends: tuple) -> SelfMotion:
-        """Return a part of the curve, shifted by 2 pi k inside the limits, or nearest 0."""
+        """Return points (M, 7) of a self-motion as a SelfMotion, shifted by 2 pi k inside the limits, or nearest 0."""
         turns = np.rint((0.5 * (points.min(axis=0) + points.max(axis=0)) - middle) / TAU)
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
@@ -326,12 +327,12 @@ class Slicing(NamedTuple):
 
     joint: int  # index of the fixed joint, 0 or 6
     screws: Screws
-    arm: np.ndarray  # (52,) geometry of the six others, see `kernel.elimination.answer.solve_loops`
-    forms: np.ndarray  # orderings of the loop of these six joints, see there
+    arm: np.ndarray  # (52,) geometry of the six other joints, as `make_arm` returns it
+    forms: np.ndarray  # the orderings of the loop of these six joints, as `make_forms` returns them
 
 
 def slicings_of(plan: Plan) -> list[Slicing]:
-    """Return the possible reductions of a plan's arm to six joints; none if the arm or the options do not allow it."""
+    """Return the ways to make six joints of the seven of a plan's arm by fixing an end one; none if arm or options forbid it."""
     if "slicing" not in plan.memo:
         plan.memo["slicing"] = _slicings(plan)
     return plan.memo["slicing"]
@@ -367,10 +368,8 @@ def sliced(cut: Slicing, T: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> list[SelfMotion]:
     """Return the self-motions at T (4, 4) within the limits that are met at `slices` values of the first or last joint."""
-    cuts, robot = slicings_of(plan), plan.robot
-    free = np.array([[-np.inf], [np.inf]])
-    limits = np.array([robot.lower, robot.upper]) if plan.options.limits else free * np.ones(N)
-    limits = np.where(limits[1] - limits[0] >= TAU, free, limits)  # a full turn covers every angle
+    cuts, limits = slicings_of(plan), plan.box
+    limits = np.where(limits[1] - limits[0] >= TAU, [[-np.inf], [np.inf]], limits)  # a full turn covers every angle
     values, found = (np.arange(slices) + 0.5) / slices * TAU - np.pi, []
     for cut in cuts:
         said = answers(cut.forms, cut.arm, sliced(cut, T, values))

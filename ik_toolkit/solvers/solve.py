@@ -205,7 +205,10 @@ def narrowed_for(robot: Any, options: Any) -> Any:
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
-    """Bind a solver (name, class or instance) to a robot and options: make its Plan. Raises UnknownSolver, InvalidOption."""
+    """Return the Plan that binds a solver (name, class or instance) to a robot and options.
+
+    Raises UnknownSolver, InvalidOption.
+    """
     row = find_row(solver)
     preset, fields = {}, ()
     if isinstance(solver, str | type):
@@ -222,7 +225,7 @@ _SOLVERS_LOCK = threading.Lock()
 
 
 def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
-    """Return a Solver for these arguments, the same one each time if they can be hashed."""
+    """Return a Solver for this robot, solver and options, from a cache if they can be hashed."""
     robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
     try:
@@ -240,7 +243,7 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
 
 
 def is_auto(solver: Any) -> bool:
-    """Return whether the toolkit is to choose the solver."""
+    """Return whether `solver` is 'auto' or None, so that the toolkit chooses one."""
     return solver is None or (isinstance(solver, str) and solver == "auto")
 
 

@@ -148,7 +148,7 @@ def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: 
 
 
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
-    """Return for each tip the record `records.Task` that tells the compiled search what counts.
+    """Return for each tip the record `records.Task` that tells the compiled search which errors count and how much.
 
     Raises InvalidOption if the options and the kinds of target disagree.
     """

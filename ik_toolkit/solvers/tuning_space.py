@@ -27,7 +27,7 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """Count of numbers in the parameter."""
+        """How many numbers the parameter has."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
@@ -63,7 +63,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """Count of numbers that the search varies."""
+        """How many numbers the search varies."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property
@@ -93,6 +93,6 @@ def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_parameter(robot: Any, initial: np.ndarray) -> Parameter:
-    """Make starts (M, n) [rad, m] a parameter, anywhere in the box where starts are drawn."""
+    """Return a parameter to tune for starts (M, n) [rad, m], within the box where starts are drawn; initial: the first ones."""
     low, width = sampling_box(robot)
     return Parameter("starts", low, low + width, np.clip(initial, low, low + width), "rad, m")

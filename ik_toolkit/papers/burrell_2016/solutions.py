@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.robot import Robot
-from ...solvers.closed_form.elimination import Elimination, into_limits, solutions_of
+from ...solvers.closed_form.elimination import Elimination, solutions_of
+from ...solvers.closed_form.geometry import into_limits
 from ...study.targets import sample_targets
 from ..report import Report
 

@@ -25,7 +25,7 @@ class Block(NamedTuple):
 
     @property
     def kinds(self) -> tuple:
-        """The kind of target of each tip."""
+        """The kind of target of each tip: pose, position or free."""
         return tuple(KIND.free if part is None else SHAPES[part.shape[1:]] for part in self.parts)
 
     @property

@@ -47,10 +47,7 @@ def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
     for row in ROWS:
         if chain.n in row.joints:
             fit = row.load().recognise(chain)
-            kinds = [
-                kind
-                for kind, solved in ((KIND.pose, row.pose), (KIND.position, row.position))
-                if solved and not fit.reason
-            ]
-            found |= {kind: (row.name, fit.off) for kind in kinds if kind not in found}
+            for kind, solved in ((KIND.pose, row.pose), (KIND.position, row.position)):
+                if solved and not fit.reason:
+                    found.setdefault(kind, (row.name, fit.off))
     return found

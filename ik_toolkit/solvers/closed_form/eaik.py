@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...compile.jit import cached, inline
 from ...errors import MissingExtra
 from ...kernel.chain import Chain
 from ..protocol import closed_form
-from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
+from .geometry import Branches, Fit, into_limits, no_fit, read_revolute
 
 N = 6
 # Highest number of Newton steps that improve a solution of EAIK, or of the elimination, on the robot's own chain; one is usual.
@@ -54,32 +53,6 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
     return Q[np.isfinite(Q).all(axis=1)]
 
 
-@inline
-def joint_values(angles, box, q):
-    """Fill q (6,) with `angles` (6,) [rad], each shifted by 2 pi k into its limits and as near as possible to the reference.
-
-    The rows of box (4, 6) are lower limits, upper limits, reference [rad] and weights. Returns the largest amount by which a limit
-    is exceeded [rad], and the weighted squared distance from the reference.
-    """
-    worst, distance = 0.0, 0.0
-    for i in range(N):
-        q[i], broken = legal_turn(angles[i], box[0, i], box[1, i], box[2, i])
-        worst = max(worst, broken)
-        distance += box[3, i] * (q[i] - box[2, i]) ** 2
-    return worst, distance
-
-
-@cached
-def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with solutions Q (K, 6) [rad], each angle shifted by 2 pi k into its limits and near a reference.
-
-    The rows of box (at least 4, 6) are lower limits, upper limits, reference [rad] and weights. broken (K,) receives the largest
-    amount by which each solution exceeds a limit [rad].
-    """
-    for k in range(Q.shape[0]):
-        broken[k] = joint_values(Q[k], box, out[k])[0]
-
-
 @closed_form
 class EAIK(NamedTuple):
     """Analytic solutions by the package EAIK for six revolute joints, for poses; returns the one in limits nearest q0.
@@ -98,6 +71,8 @@ class EAIK(NamedTuple):
         poses some solutions are missing.
         """
         Q = branches(p, T)
-        out, broken = np.empty_like(Q), np.empty(len(Q))
-        eaik_branches(Q, box, out, broken)
-        return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)
+        out, excess = np.empty_like(Q), np.empty_like(Q)
+        into_limits(Q, box, out, excess)
+        return Branches(
+            out, excess.max(axis=1), np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True
+        )

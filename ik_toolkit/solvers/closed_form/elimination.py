@@ -18,9 +18,9 @@ from ...kernel.elimination.terms import SIZES, VERDICT
 from ...kernel.records import SIZE, Orders, copy, read
 from ...kernel.serial import make_serial
 from ..protocol import closed_form
-from .eaik import STEPS, N, eaik_branches
+from .eaik import STEPS, N
 from .families import families_of
-from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
+from .geometry import Branches, Fit, into_limits, no_fit, read_revolute
 from .polish import list_with
 
 # Least size of an arm, as a share of its reach: how far its axes are from meeting in one point. Below it the rounding of a pose is
@@ -55,7 +55,7 @@ class Certificate(NamedTuple):
 
     @property
     def message(self) -> str:
-        """The certificate in one sentence."""
+        """One sentence on whether there may be other solutions, and why."""
         real = self.roots - self.complex
         if self.status == "CERTAIN" and self.decomposed:
             return f"{real} of {self.roots} branches of the arm's geometry are distinct and real: there is no other solution"
@@ -131,18 +131,6 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Eliminati
 
 
 @cached
-def into_limits(Q, box, out, excess):
-    """Fill out (K, n) with solutions Q (K, n) [rad], each angle shifted by 2 pi k into its limits and near a reference.
-
-    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) receives by how much each
-    joint breaks its limits [rad].
-    """
-    for k in range(Q.shape[0]):
-        for i in range(Q.shape[1]):
-            out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
-
-
-@cached
 def list_certain(rows, ends, opt, T, found, box, most, table, notes):
     """List the solutions within the limits, for those of N targets whose list is certified to be complete.
 
@@ -162,14 +150,17 @@ def list_certain(rows, ends, opt, T, found, box, most, table, notes):
     at, n = 0, box.shape[1]
     p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))
     none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # the elimination gives no signs of shoulder, elbow, wrist
-    work, q, broken = np.empty((2, n)), np.empty((found.shape[1], n)), np.empty(found.shape[1])
+    work, broken = np.empty((2, n)), np.empty(found.shape[1])
+    q, excess = np.empty((found.shape[1], n)), np.empty((found.shape[1], n))
     for t in range(T.shape[0]):
         notes[t, 0], notes[t, 1] = at, -1
         copy(found[t, 0], notes[t, 2:])
         if found[t, 0, 1] != VERDICT.certain or not rigid(T[t], RIGID.axes):
             continue
         Q = found[t, 1 : 1 + int(found[t, 0, 0]), :N]
-        eaik_branches(Q, box, q, broken)
+        into_limits(Q, box, q, excess)
+        for k in range(Q.shape[0]):
+            broken[k] = excess[k].max()
         branches = (-1, STEPS, q[: Q.shape[0]], broken, none[0])
         kept, legal = list_with(p, work, opt, T[t], box[2], branches, table[at:], none[1])
         if kept == legal and kept <= most:
@@ -215,8 +206,9 @@ class Elimination(NamedTuple):
             form, single = forms_of(p.tobytes())[0], free[:, 0] == 0.0
             families = [one for k in np.flatnonzero(~single) for one in families_of(robot, p, form, Q[k], free[k], box)]
             Q = np.vstack([Q[single], *(member for _, member in families)])
-        q, broken, sure = np.empty_like(Q), np.empty(len(Q)), certificate.status == "CERTAIN"
-        eaik_branches(Q, box, q, broken)
+        q, excess, sure = np.empty_like(Q), np.empty_like(Q), certificate.status == "CERTAIN"
+        into_limits(Q, box, q, excess)
+        broken = excess.max(axis=1)
         partial = not sure and not (families and (broken == 0.0).any())
         signs = np.zeros((len(Q), 3), dtype=np.int8)
         named = tuple(family for family, _ in families)

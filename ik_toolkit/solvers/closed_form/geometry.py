@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...compile.jit import inline, shared
+from ...compile.jit import cached, inline, shared
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
 from ...kernel.checks import CODE
@@ -59,7 +59,7 @@ class Branches(NamedTuple):
     q: np.ndarray  # (K, n) the branches [rad or m], angles shifted by 2 pi k to be nearest the reference
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
-    complete: bool  # Whether these branches are proven to be all.
+    complete: bool  # Whether it is proven that there are no other branches.
     # Text for the message that says at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''.
     words: str
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
@@ -70,7 +70,7 @@ class Branches(NamedTuple):
 
 
 class Screws(NamedTuple):
-    """The joint axes of a chain at q = 0 in base axes."""
+    """The joint axes of a chain at q = 0, in the axes of the base."""
 
     turns: np.ndarray  # (n,) whether each joint is revolute
     axis: np.ndarray  # Unit direction of each axis (n, 3).
@@ -143,31 +143,37 @@ def one_turn(low, high, near):
     return start, min(start + TAU, high)
 
 
-@inline
-def legal_start(ends, opt, q0):
-    """Return whether the start q0 (n,) [rad or m] is finite and, if limits are kept, inside them; True if the caller gave no start.
+@cached
+def into_limits(Q, box, out, excess):
+    """Fill out (K, n) with solutions Q (K, n) [rad], each angle shifted by 2 pi k into its limits and near a reference.
 
-    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`).
+    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) receives by how much each
+    joint breaks its limits [rad].
     """
-    o = read(Orders, opt)
-    return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
+    for k in range(Q.shape[0]):
+        for i in range(Q.shape[1]):
+            out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
 
 
 @inline
 def copy_limits(ends, opt, q0, box):
     """Fill the rows of box (4, n): lower limits, upper limits, reference (q0 if given, else home) [rad or m], distance weights.
 
-    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`); q0 (n,): start of the call.
+    ends: limits of the chain (`records.Ends`); opt: option array (`records.Orders`); q0 (n,): start of the call. Returns False,
+    with box unfinished, if the caller gave a start that is not finite or, if limits are kept, outside them.
     """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
+    limited = o.limits > 0.0
+    if o.given > 0.0 and not legal(q0, chain, limited):
+        return False
     for i in range(n):
         unit = chain.unit(i)
-        limited = o.limits > 0.0
         box[0, i] = chain.lower(i) * unit if limited else -np.inf
         box[1, i] = chain.upper(i) * unit if limited else np.inf
         box[2, i] = q0[i] if o.given > 0.0 else chain.home(i) * unit
         box[3, i] = 1.0 / (max(opt[SIZE.weights + i], LIGHTEST) * unit * unit)
+    return True
 
 
 @inline

@@ -28,7 +28,6 @@ from .geometry import (
     across,
     angle_about,
     copy_limits,
-    legal_start,
     measure_tip,
     no_fit,
     read_screws,
@@ -55,7 +54,7 @@ from .lift_arm import (
     wrist_pose,
 )
 from .lift_list import every_branch, feasible_lifts, listing, nearest_pose
-from .polish import polish
+from .nearest import choose
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
@@ -136,7 +135,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     p = opt[SIZE.weights + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
     P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
-    tries, best = np.empty((2, n)), np.empty(n)
+    tries, best, branches = np.empty((2, n)), np.empty(n), np.empty((9, n))
     q, trial = tries[0], tries[1]
     row, limits = np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
@@ -145,10 +144,9 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
-        if not legal_start(ends, opt, q0):
+        if not copy_limits(ends, opt, q0, box):
             out[t, 0] = CODE.bad_start
             continue
-        copy_limits(ends, opt, q0, box)
         near_angles(p, box, near)
         wrist_pose(p, T[t], P)
         d, count = choose_lift(p, P, box, spans)
@@ -174,37 +172,25 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
         slack = opt[ORDER.tol_r] * lever  # orientation tolerance as a distance at the wrist
-        nearly, spent = p[NEARLY] > 0.0, 0
-        if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
-            i = int(p[LIFT])
+        nearly, spent = p[NEARLY] > 0.0, 0.0
+        i = int(p[LIFT])
+        fixed = i if i >= 0 and not free else -1
+        able = fixed < 0 or box[0, fixed] <= best[fixed] <= box[1, fixed]
+        if able and (nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack)):
+            # The best branch so far, and all branches at the same lift, are refined on the robot's own chain.
             at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
             copy(P, moved)
             inspection_nearest(moved, at, p[A4], p[A6])
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
-            fixed = i if i >= 0 and not free else -1
-            nearest = np.inf
-            for k in range(found + 1):  # k = 0 refines the best branch so far, k > 0 each branch at the same lift
-                if k > 0:
-                    joint_values(p, sols[k - 1], at, box, trial)
-                else:
-                    copy(best, trial)
-                if fixed >= 0 and not box[0, fixed] <= trial[fixed] <= box[1, fixed]:
-                    continue
-                for j in range(n):
-                    trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # the last evaluation computes the errors of the answer
-                position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
-                spent += count
-                distance = 0.0
-                for j in range(n):
-                    distance += box[3, j] * (trial[j] - box[2, j]) ** 2
-                if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] and distance < nearest:
-                    nearest = distance
-                    copy(trial, q)
-            if nearest < np.inf:
-                copy(q, best)
-            if nearly:  # A chain that fits only approximately proves nothing about the target.
-                broken, gap = 0.0, 0.0
+            copy(best, branches[0])
+            for k in range(found):
+                joint_values(p, sols[k], at, box, branches[k + 1])
+            choose(rows, ends, T[t], branches[: found + 1], STEPS, fixed, q0, opt, hist, out[t])
+            if nearly or out[t, AT.status] == CODE.converged:
+                continue
+            spent = out[t, AT.evaluations] - 1.0
+        if nearly:  # A chain that fits only approximately proves nothing about the target.
+            broken, gap = 0.0, 0.0
         if broken > 0.0 and stroke == 0.0 and max(shoulder_on_axes(p, P, d, near)):
             broken = 0.0  # Of an angle that is free only one value was tried, which proves nothing about the others.
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
@@ -263,5 +249,5 @@ class Inspection(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
+        """Return the compiled function that solves targets with this closed form, called as `protocol.ClosedForm.loop` says."""
         return solve_inspection

@@ -7,7 +7,6 @@ import numpy as np
 
 from ...compile.jit import cached
 from ...kernel.kinematics import TAU
-from ...kernel.records import copy
 from . import reach
 from .geometry import Branches, Family, one_turn
 from .lift_arm import (
@@ -148,17 +147,6 @@ def reaching(p, T, low, high, spans):
     return lift_intervals(P, p[A4], p[A6], low, high, spans)
 
 
-@cached
-def shortened(p, T, lift, P, before):
-    """Write the wrist pose of T (4, 4), moved into reach at a lift [m], to P (12,); return how far [m] it was moved.
-
-    p: the arm's parameters, P: see `lift_arm.wrist_pose`; before (3,) receives the point of P before the move.
-    """
-    wrist_pose(p, T, P)
-    copy(P[9:], before)
-    return inspection_nearest(P, lift, p[A4], p[A6])
-
-
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
@@ -177,8 +165,10 @@ def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray,
 
     The orientation is kept. p: the arm's parameters (`lift_arm`).
     """
-    P, before, near = np.empty(12), np.empty(3), np.array(T, dtype=float)
-    gap = shortened(p, near, p[LIFT + 1] * lift, P, before)
+    P, near = np.empty(12), np.array(T, dtype=float)
+    wrist_pose(p, near, P)
+    before = P[9:].copy()
+    gap = inspection_nearest(P, p[LIFT + 1] * lift, p[A4], p[A6])
     near[:3, 3] += p[:9].reshape(3, 3).T @ (P[9:] - before)
     return near, gap
 

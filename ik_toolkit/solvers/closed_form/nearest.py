@@ -10,7 +10,7 @@ from ...kernel.checks import CODE, is_rigid
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
 from ...kernel.records import AT, ORDER, SIZE, copy
-from .geometry import copy_limits, legal_start, measure_tip
+from .geometry import copy_limits, measure_tip
 from .polish import polish
 
 SAMPLE = 64  # number of samples to list of a self-motion
@@ -49,11 +49,10 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     history, or none.
     """
     n = Q.shape[1]
-    if not legal_start(ends, opt, q0):
+    box = np.empty((4, n))
+    if not copy_limits(ends, opt, q0, box):
         out[0] = CODE.bad_start
         return
-    box = np.empty((4, n))
-    copy_limits(ends, opt, q0, box)
     q, best = np.empty(n), box[2].copy()
     least, near, spent = np.inf, np.inf, 0
     for k in range(Q.shape[0]):

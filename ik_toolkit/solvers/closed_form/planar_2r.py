@@ -10,7 +10,7 @@ from ...compile.jit import cached, inner
 from ...kernel.chain import Chain
 from ...kernel.checks import CODE, RIGID, rigid
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, SIZE, copy
+from ...kernel.records import SIZE, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import closed_form
 from .geometry import (
@@ -22,14 +22,13 @@ from .geometry import (
     across,
     angle_about,
     copy_limits,
-    legal_start,
     legal_turn,
     measure_tip,
     no_fit,
     one_turn,
     read_screws,
 )
-from .polish import polish
+from .nearest import choose
 from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
 
 STEPS = 8  # number of Newton steps that correct a branch if axes are only nearly parallel
@@ -108,8 +107,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     n = 2
     p = opt[SIZE.weights + n :]
     box = np.empty((4, n))
-    near = p[ANGLES + 1]
-    sols = np.empty((2, 2))
+    sols, Q = np.empty((2, 2)), np.empty((2, n))
     q, best = np.empty(n), np.empty(n)
     goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
     for t in range(T.shape[0]):
@@ -117,39 +115,27 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             out[t, 0] = CODE.bad_target
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]
-        if not legal_start(ends, opt, q0):
+        if not copy_limits(ends, opt, q0, box):
             out[t, 0] = CODE.bad_start
             continue
-        copy_limits(ends, opt, q0, box)
         near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]
         x, y, off = to_plane(p, T[t])
         gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
+        count = planar_branches(x, y, p[L1], p[L2], near, sols)
+        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
+            for k in range(count):
+                joint_values(p, sols[k], box, Q[k])
+            choose(rows, ends, T[t], Q[:count], STEPS, -1, q0, opt, hist, out[t])
+            continue
         least, nearest = np.inf, np.inf
-        for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
+        for k in range(count):
             worst, distance = joint_values(p, sols[k], box, q)
             if worst < least or (worst == least and distance < nearest):
                 least, nearest = worst, distance
                 copy(q, best)
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
-        spent = 0
-        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
-            nearest = np.inf
-            for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
-                joint_values(p, sols[k], box, q)
-                for i in range(n):
-                    q[i] = min(max(q[i], box[0, i]), box[1, i])
-                # one evaluation is reserved for computing the errors of the answer
-                left = opt[ORDER.evaluations] - 1.0 - spent
-                position, _, count = polish(rows, ends, opt, T[t], q, -1, STEPS, left)
-                spent += count
-                distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
-                if position < opt[ORDER.tol_p] and distance < nearest:
-                    nearest = distance
-                    copy(q, best)
-            least, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
-        out[t, AT.evaluations] += spent
 
 
 @closed_form
@@ -192,5 +178,5 @@ class Planar2R(NamedTuple):
         return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
+        """Return the compiled function that solves targets with this closed form, called as `protocol.ClosedForm.loop` says."""
         return solve_planar

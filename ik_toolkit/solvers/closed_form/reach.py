@@ -16,7 +16,8 @@ from .geometry import legal_turn
 # Both elbow branches count as one if the sine of the elbow angle is below 1e-7; the error is 1e-15 of the arm's length.
 MERGED = 1e-7
 ON_AXIS = (
-    1e-12  # An angle is free if the point it is to turn is nearer to the axis than this share of the link lengths.
+    # An angle about an axis is free if the point that it turns is nearer to the axis than this share of the link lengths.
+    1e-12
 )
 EDGE = 1e-13  # rounding allowed in a test of reach, as a share of the link lengths
 # Indices in the array p of a planar arm's parameters, after the transform from the base to the arm's plane (12): both link lengths

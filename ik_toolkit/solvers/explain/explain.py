@@ -87,9 +87,7 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
 def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
     """Write out the closed form for the target; free joints keep their values in the answer q (n,)."""
     robot = form.robot
-    free = np.full(robot.n, np.inf)
-    lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
-    box = np.vstack([lower, upper, q, 1.0 / robot.chain.unit**2])
+    box = np.vstack([form.box, q, 1.0 / robot.chain.unit**2])
     numbers = form.orders(of.kinds, True)[SIZE.weights + robot.n :]
     try:
         return form.rule.derive(robot, numbers, of.T[0], box)

@@ -82,7 +82,7 @@ class Explanation:
         return decimals(self.robot.reach)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield all parts of the explanation in order."""
+        """Yield the parts of the explanation in order: sentences, titles, tables and equations, as yet without a format."""
         yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
             yield Title("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
@@ -140,7 +140,7 @@ class Explanation:
         return f"{here} The pose is reached {reached}, and from {said(free.every)} without them."
 
     def branch_blocks(self) -> Iterator[Block]:
-        """Yield the branches with label, joint values and error by Pinocchio."""
+        """Yield tables of the closed form's branches: label, whether inside limits, joint values, position error by Pinocchio."""
         assert self.worked is not None
         branches, kinds = self.worked.branches, self.robot.joint_kinds
         if not branches:
@@ -165,7 +165,7 @@ class Explanation:
             yield Sentence("The solution is not one of these branches.")
 
     def iteration_blocks(self) -> Iterator[Block]:
-        """Yield the errors of each iteration."""
+        """Yield a table of the errors in each iteration of an iterative solver, and a sentence on how it ended."""
         assert self.iterations is not None
         i = self.iterations
         turned = not np.isnan(i.orientation).all()

@@ -22,15 +22,18 @@ class Worksheet:
         self.steps: list[WorkedStep] = []
 
     def given(self, name: str, value: float, unit: str = "", words: str = "") -> Any:
-        """Add a number [m, rad or 1] that no formula gives."""
+        """Add a step for a number [m, rad or 1] that no formula gives; return its symbol."""
         return self._add(name, None, float(value), unit, words)
 
     def formula(self, name: str, formula: Any, unit: str = "", words: str = "", value: float | None = None) -> Any:
-        """Add a formula; its value [m, rad or 1] is the solver's if given, otherwise it is computed from the symbols."""
+        """Add a step with a formula; return its symbol.
+
+        Its value [m, rad or 1] is the one given, from the solver, or else computed from the values of earlier steps.
+        """
         return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
 
     def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
-        """Add an angle [rad]; if the solver has shifted it by 2 pi k, the shift is written into the formula."""
+        """Add a step for an angle [rad], its shift by 2 pi k written into the formula if `value` has one; return its symbol."""
         turns = round((self.value(formula) - value) / (2.0 * math.pi))
         return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
 
