@@ -258,9 +258,8 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(
-    cut, jit_options=BUILD
-)  # Arrays cut from an array are counted references to its memory, which INLINE could not compile.
+# Arrays cut from an array are counted references to its memory, which INLINE could not compile.
+@overload(cut, jit_options=BUILD)
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 

@@ -50,9 +50,8 @@ def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
         )
         yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(
-        path
-    ):  # np.load would say in its error that the file could be unpickled, which is unsafe.
+    # np.load would say in its error that the file could be unpickled, which is unsafe.
+    if not zipfile.is_zipfile(path):
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
@@ -91,9 +90,8 @@ def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
 
 def _as_numbers(value: Any) -> np.ndarray | None:
     """Return lists of numbers as an array of floats; None if they are anything else."""
-    with suppress(
-        TypeError, ValueError, OverflowError
-    ):  # The checks of `floats` in errors.py would be slow for many rows.
+    # The checks of `floats` in errors.py would be slow for many rows.
+    with suppress(TypeError, ValueError, OverflowError):
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
     return None

@@ -45,9 +45,8 @@ class JointPath(NamedTuple):
     joints: list[int]  # Ids of the joints, from base to tip.
     # This many of `joints`, the first, lead from the base up towards the root; the path to the tip branches off above them.
     up: int
-    leaders: list[
-        int
-    ]  # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
+    # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
+    leaders: list[int]
     # This many of the coordinates, the first, move the tip relative to the root. The remaining ones move only the branch of the
     # base; they are coordinates because they move for another tip of a Tree.
     own: int

@@ -12,9 +12,8 @@ from ..errors import InvalidOption, InvalidTarget, floats
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) that turns the unit vector `axis` (3,) onto the unit vector `direction` (3,)."""
     cos = float(axis @ direction)
-    if (
-        cos < 0.0
-    ):  # 1 + cos is inexact near 180 degrees, so the rotation is made of two reflections: onto a third vector, then on.
+    # 1 + cos is inexact near 180 degrees, so the rotation is made of two reflections: onto a third vector, then on.
+    if cos < 0.0:
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))

@@ -27,9 +27,8 @@ class UrdfCaps(NamedTuple):
     depth: int = 64
     attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
     name: int = 255  # A name may have as many characters as a file name, because messages repeat names.
-    tag: int = (
-        1_000_000  # A tag or comment with more bytes is refused, because the parser keeps it in memory as a whole.
-    )
+    # A tag or comment with more bytes is refused, because the parser keeps it in memory as a whole.
+    tag: int = 1_000_000
     chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
 
 

@@ -68,9 +68,8 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Raise MeshRefused for a .dae file with entity declarations or nodes that contain themselves or are nested too deep."""
     stack: list[str] = []
-    inside: dict[
-        str, list
-    ] = {}  # by id of a node or scene: the ids of the nodes in it, and of those of which it has instances
+    # by id of a node or scene: the ids of the nodes in it, and of those of which it has instances
+    inside: dict[str, list] = {}
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:

@@ -42,9 +42,8 @@ class Surroundings(ReadOnly):
         """Start with no shapes."""
         self.version = 0
         self._placed: dict[str, PlacedShape] = {}
-        self._hulls: dict[
-            Any, Any
-        ] = {}  # convex hulls of meshes, by name for added shapes and by index for those of the robot
+        # convex hulls of meshes, by name for added shapes and by index for those of the robot
+        self._hulls: dict[Any, Any] = {}
 
     def _rebuild(self) -> None:
         """Update the model after shapes were added or removed."""
