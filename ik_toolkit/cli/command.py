@@ -276,7 +276,7 @@ class Command(typer.core.TyperCommand):
             if needs and not any(map(met, needs)):
                 raise InvalidOption(f"{names} has no effect without {' or '.join(needs)}")
             if excluded := [name for name in rules["without"] if name in given]:
-                raise InvalidOption(f"{names} goes without {' and '.join(excluded)}")
+                raise InvalidOption(f"{names} cannot be combined with {' or '.join(excluded)}")
 
 
 def _joined(words: Sequence[str], several: set[str]) -> list[str]:

@@ -166,7 +166,7 @@ def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
         ),
         (["--target", f"{LEFT}:1,0,1", "--tip", RIGHT], f"'{LEFT}' is not one of the tips solved for"),
         (["--target", f"{LEFT}:1,0,1", "--tip", LEFT, "--tip", LEFT], "--tip gives 'left_tip' twice"),
-        (["--target", f"{LEFT}:1,0,1", "--xyz", "1", "0", "0"], "--target goes without --xyz"),
+        (["--target", f"{LEFT}:1,0,1", "--xyz", "1", "0", "0"], "--target cannot be combined with --xyz"),
         (["--target", "left_tp:1,0,1"], "Did you mean 'left_tip'"),
         (["--target", LEFT], "TIP:X,Y,Z"),
         (["--target", f"{LEFT}:1,0,1", "--target", f"{LEFT}:1,0,1"], "twice"),

@@ -106,21 +106,21 @@ HELD = {
     "PathInterrupted": (lambda: ik.PathInterrupted(path()), lambda stop: (str(stop), *facts_of(stop.result))),
     "BatchInterrupted": (lambda: ik.BatchInterrupted(batch()), lambda stop: (str(stop), stop.result.q)),
     "TrackInterrupted": (lambda: ik.TrackInterrupted(run()), lambda stop: (str(stop), *facts_of(stop.result))),
-    "ReachabilityInterrupted": (lambda: ik.ReachabilityInterrupted(mapped()), lambda stop: (str(stop), stop.result.q)),
+    "ReachabilityInterrupted": (lambda: ik.ReachabilityInterrupted(mapped(), "after 1 of 2 answers"), lambda stop: (str(stop), stop.result.q)),
     "MapNotSaved": (
         lambda: ik.MapNotSaved(mapped(), OSError(28, "No space left on device", "map.npz")),
         lambda error: (str(error), error.result.q),
     ),
     "PlaceInterrupted": (
-        lambda: ik.PlaceInterrupted(ik.place(robots.load("planar_2r"), [(1.0, 1.0, 0.0)], ((0, 0), (0.1, 0.1)), count=1)),
+        lambda: ik.PlaceInterrupted(ik.place(robots.load("planar_2r"), [(1.0, 1.0, 0.0)], ((0, 0), (0.1, 0.1)), count=1), "early"),
         lambda stop: (str(stop), stop.result[0].q, stop.result.shares),
     ),
     "WorkspaceInterrupted": (
-        lambda: ik.WorkspaceInterrupted(ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20)),
+        lambda: ik.WorkspaceInterrupted(ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20), "early"),
         lambda stop: (str(stop), stop.result.to_dict()),
     ),
     "BenchmarkInterrupted": (
-        lambda: ik.BenchmarkInterrupted(ik.benchmark("planar_2r", "planar-2r", targets=4)),
+        lambda: ik.BenchmarkInterrupted(ik.benchmark("planar_2r", "planar-2r", targets=4), "early"),
         lambda stop: (str(stop), [(row.solver, row.solved, row.median) for row in stop.result.rows]),
     ),
     "BatchCheckFailed": (

@@ -185,4 +185,4 @@ def test_view_follow_serves_that_page_and_refuses_what_it_cannot_show(monkeypatc
     assert served[0][0].startswith("the robot is at http") and Follower.__mro__[1].__name__ == "PanelPage"
     for more in (["--html", "x.html"], ["--xyz", "1", "1", "0"], ["--q", "0", "0"]):
         assert main(["view", "planar_2r", "--follow", *more]) == 2
-        assert "--follow goes without" in capsys.readouterr().err
+        assert "--follow cannot be combined with" in capsys.readouterr().err

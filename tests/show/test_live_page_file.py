@@ -21,9 +21,9 @@ def test_what_is_refused(tmp_path, capsys):
     assert main(["view", "planar_2r", "--page", str(tmp_path / "page.html")]) == 0
     assert "opens without a network" in capsys.readouterr().err
     for words, said in (
-        (["--q", "0", "0", "--html", str(tmp_path / "a.html")], "--page goes without --html and --q"),
-        (["--xyz", "1", "0", "0"], "--page goes without --xyz"),
-        (["--follow"], "--follow goes without --page"),
+        (["--q", "0", "0", "--html", str(tmp_path / "a.html")], "--page cannot be combined with --html or --q"),
+        (["--xyz", "1", "0", "0"], "--page cannot be combined with --xyz"),
+        (["--follow"], "--follow cannot be combined with --page"),
     ):
         assert main(["view", "planar_2r", "--page", str(tmp_path / "b.html"), *words]) == 2
         assert said in capsys.readouterr().err

@@ -278,7 +278,7 @@ def test_a_solve_is_drawn(tmp_path, capsys):
     assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", "--html", str(page)]) == 0 and page.exists()
     assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", *pictures]) == 2
     assert main(["solve", "planar_2r", "--targets", "x.csv", "--html", str(page)]) == 2
-    assert "--targets goes without --html" in capsys.readouterr().err
+    assert "--targets cannot be combined with --html" in capsys.readouterr().err
 
 
 def test_a_target_far_away_does_not_shrink_the_picture():

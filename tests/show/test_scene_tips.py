@@ -85,8 +85,8 @@ def test_view_solves_for_several_tips(brokk, goal, tmp_path, capsys, monkeypatch
         assert np.allclose(drawn["target2"], drawn_tip(brokk, words[:2], relative), atol=1e-4)
     capsys.readouterr()
     for wrong, said in (
-        (["--xyz", "1", "0", "1", *words], "--target goes without --xyz"),
-        (["--q", *map(str, brokk.home), *words], "--q goes without --target"),
+        (["--xyz", "1", "0", "1", *words], "--target cannot be combined with --xyz"),
+        (["--q", *map(str, brokk.home), *words], "--q cannot be combined with --target"),
         (["--xyz", "1", "0", "1"], "choose one with --tip: left_tip, right_tip"),
         (["--relative", "right_tip:left_tip"], "--relative has no effect without --target"),
         (["--all"], "--all has no effect without --xyz or --matrix or --target"),
