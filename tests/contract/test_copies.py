@@ -106,7 +106,10 @@ HELD = {
     "PathInterrupted": (lambda: ik.PathInterrupted(path()), lambda stop: (str(stop), *facts_of(stop.result))),
     "BatchInterrupted": (lambda: ik.BatchInterrupted(batch()), lambda stop: (str(stop), stop.result.q)),
     "TrackInterrupted": (lambda: ik.TrackInterrupted(run()), lambda stop: (str(stop), *facts_of(stop.result))),
-    "ReachabilityInterrupted": (lambda: ik.ReachabilityInterrupted(mapped(), "after 1 of 2 answers"), lambda stop: (str(stop), stop.result.q)),
+    "ReachabilityInterrupted": (
+        lambda: ik.ReachabilityInterrupted(mapped(), "early"),
+        lambda stop: (str(stop), stop.result.q),
+    ),
     "MapNotSaved": (
         lambda: ik.MapNotSaved(mapped(), OSError(28, "No space left on device", "map.npz")),
         lambda error: (str(error), error.result.q),
