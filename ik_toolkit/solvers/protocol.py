@@ -97,8 +97,8 @@ class Rule(Protocol):
         return None
 
     def options(self) -> dict[str, Any]:
-        """Return options that come with the rule (a preset's tolerance); the caller's take precedence."""
-        return {}
+        """Return the options of the preset from which the rule was made (its field `tuned`); the caller's take precedence."""
+        return dict(getattr(self, "tuned", None) or {})
 
     def loop(self, robot: Any) -> Callable:
         """Return the compiled function that solves targets with this rule; `kernel.search.entry` describes its arguments."""

@@ -1,7 +1,7 @@
 """The solvers of this package, one `Row` each: plain data with dotted names, so that listing them imports no solver."""
 
-import importlib
 import math
+import pkgutil
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -60,9 +60,8 @@ class Row:
         """Import and return the class. Raises UnknownSolver if another package's class cannot be imported or is not a solver."""
         if self.cls is not None:
             return self.cls
-        module, name = self.target.split(":")
         try:
-            cls = getattr(importlib.import_module(module), name)
+            cls = pkgutil.resolve_name(self.target)
         except Exception as error:
             if not self.package or isinstance(error, IKError):
                 raise

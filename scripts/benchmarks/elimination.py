@@ -22,8 +22,7 @@ import ik_toolkit as ik
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
 from ik_toolkit.kernel.elimination.closure import joint_at
 from ik_toolkit.kernel.elimination.decomposition import Split
-from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute
-from ik_toolkit.solvers.closed_form.families import moving_places
+from ik_toolkit.solvers.closed_form.elimination import moving_places, recognise_six_revolute
 
 NAMED = ("hydrolek_7w", "ur3", "ur5", "ur10", "z1", "kinova", "talos_arm")
 LIMITED = ("ur3_limited", "ur5_limited", "ur10_limited")  # half of each joint's turn

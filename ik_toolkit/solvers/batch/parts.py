@@ -119,14 +119,12 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
 
 
 def _solve_part(
-    plan: Plan, job: "Job", share: float, stop: threading.Event | None = None
+    plan: Plan, part: Part, share: float, stop: threading.Event | None = None
 ) -> tuple[np.ndarray, Failures]:
     """Solve one part in slices and return its rows (m, width), and the targets and starts of those that failed.
 
     If `stop` is set between two slices, the rows are incomplete.
     """
-    start = plan.home if job.q0 is None else job.q0
-    part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
     out = np.zeros((len(part.T), plan.width))
     side_by_side = lanes_of(plan, part.kinds)
     a, size = 0, 1024 if side_by_side is not None else 16
@@ -139,7 +137,7 @@ def _solve_part(
     _confirm(plan, part, out, share)
     mark_open(plan, out)
     lost = np.flatnonzero(out[:, AT.status] != CODE.converged)
-    q0 = np.empty((0, plan.robot.n)) if job.q0 is None else np.broadcast_to(start, (len(out), start.shape[1]))[lost]
+    q0 = np.broadcast_to(part.start, (len(out), plan.robot.n))[lost] if part.given else np.empty((0, plan.robot.n))
     return out, Failures(lost, part.T[lost], q0)
 
 
@@ -150,32 +148,23 @@ def _unpacked(payload: bytes) -> Plan:
     return pickle.loads(payload)  # noqa: S301
 
 
-def _solve_remote(payload: bytes, job: "Job", share: float) -> tuple[np.ndarray, Failures]:
+def _solve_remote(payload: bytes, part: Part, share: float) -> tuple[np.ndarray, Failures]:
     """Solve a part in a worker process or on another machine."""
-    return _solve_part(_unpacked(payload), job, share)
-
-
-class Job(NamedTuple):
-    """A part of a batch as a worker gets it: targets T (a copy), their kinds, starts q0 or None, index of the first target."""
-
-    T: np.ndarray
-    kinds: tuple
-    q0: np.ndarray | None
-    first: int
+    return _solve_part(_unpacked(payload), part, share)
 
 
 Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
-def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved on threads of this process.
+def on_threads(plan: Plan, parts: Iterator[Part], share: float, threads: int) -> Tables:
+    """Yield the result rows and failures of each part, in order, solved on threads of this process.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
-        yield from _in_order(lambda job: pool.submit(_solve_part, plan, job, share, stop), jobs, AHEAD * threads)
+        yield from _in_order(lambda part: pool.submit(_solve_part, plan, part, share, stop), parts, AHEAD * threads)
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
@@ -187,21 +176,21 @@ def check_executor(executor: Any) -> None:
         raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
 
 
-def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Yield the result rows and failures of each job, in order, solved by the workers of an executor.
+def on_executor(plan: Plan, parts: Iterator[Part], share: float, executor: Executor) -> Tables:
+    """Yield the result rows and failures of each part, in order, solved by the workers of an executor.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """
     payload = pickle.dumps(plan)
-    yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
+    yield from _in_order(lambda part: executor.submit(_solve_remote, payload, part, share), parts, REMOTE_AHEAD)
 
 
-def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Tables:
-    """Yield the results in the order of the jobs; no more than `ahead` of them are in progress at a time."""
+def _in_order(submit: Callable[[Part], Any], parts: Iterator[Part], ahead: int) -> Tables:
+    """Yield the results in the order of the parts; no more than `ahead` of them are in progress at a time."""
     waiting: deque = deque()
     try:
-        for job in jobs:
-            waiting.append(submit(job))
+        for part in parts:
+            waiting.append(submit(part))
             if len(waiting) >= ahead:
                 yield waiting.popleft().result()
         while waiting:

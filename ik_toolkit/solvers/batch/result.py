@@ -104,10 +104,6 @@ class BatchResult(ReadOnly):
         self.solver = plan.row.name
         self._seal()
 
-    def of(self, table: np.ndarray, failures: Failures | None = None) -> "BatchResult":
-        """Return a BatchResult of the same solver and kinds of target with other result rows."""
-        return BatchResult(table, self.kinds, self.plan, failures, self.notice)
-
     def __len__(self) -> int:
         """Return the number of targets."""
         return len(self.table)

@@ -21,7 +21,7 @@ from ...validate import switch
 from ..options import BatchOptions
 from ..plan import Plan
 from ..solve import Solver, require_robot
-from .parts import Job, Tables, check_executor, on_executor, on_threads
+from .parts import Part, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_failures
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
@@ -48,6 +48,22 @@ def solve_parts(
     limit. An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator are
     copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
+    begun = _begin(robot, targets, solver, q0, threads, executor, check, finish, options)
+    return _wrapped(*begun[1:])
+
+
+def _begin(
+    robot: Robot | Tree,
+    targets: Any,
+    solver: Any,
+    q0: Any,
+    threads: int | None,
+    executor: Executor | None,
+    check: float,
+    finish: bool,
+    options: Any,
+) -> tuple[int | None, Tables, tuple, Plan, str]:
+    """Read the arguments of a batch and return the number of targets, if it is known, and the arguments of `_wrapped`."""
     require_robot(robot)
     if "chain" in options:
         raise InvalidOption("chain= has been removed; ik.solve_path(robot, poses) follows poses in one joint motion")
@@ -67,26 +83,23 @@ def solve_parts(
     chunks = blocks(iter([given]) if given is not None else targets, robot)
     first = next(chunks, None)
     starts, notice = _read_starts(robot, q0, total)
-    local = Solver(robot, solver, **options)
+    kinds = (KIND.pose,) * len(robot.tips) if first is None else first.kinds
+    plan = Solver(robot, solver, **options).plan_for(kinds)
     if first is None:
-        return iter(())
-    plan = local.plan_for(first.kinds)
+        return total, (none for none in ()), kinds, plan, notice
     if starts is not None:
         starts, clamped = plan.check_starts(starts)
         notice = "; ".join(filter(None, (notice, clamped)))
     # This raises InvalidOption if the solver cannot do the task, before any target is solved.
-    plan.orders(first.kinds, starts is not None)
+    plan.orders(kinds, starts is not None)
     if not finish:
         plan = plan.stripped()
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
-    jobs = _jobs(robot, joined([first], chunks), starts, size)
-    if executor is not None:
-        tables = on_executor(plan, jobs, check, executor)
-    else:
-        tables = on_threads(plan, jobs, check, count)
-    return _wrapped(tables, first.kinds, plan, notice)
+    parts = _parts(plan, joined([first], chunks), starts, size)
+    tables = on_threads(plan, parts, check, count) if executor is None else on_executor(plan, parts, check, executor)
+    return total, tables, kinds, plan, notice
 
 
 def _length(targets: Any) -> int:
@@ -129,22 +142,18 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan, notice: str) -> Iterator[
             yield part
 
 
-def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iterator[Job]:
+def _parts(plan: Plan, chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iterator[Part]:
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
             # Parts are copies, because the caller's buffer may be refilled while the parts wait to be solved.
             T = chunk.poses(a, a + size)
-            doubt_far(robot, T)
-            if starts is None:
-                q0 = None
-            elif len(starts) == 1:
-                q0 = starts
-            else:
-                q0 = starts[first : first + len(T)]
-                if len(q0) < len(T):
-                    raise InvalidConfiguration(f"q0 has {len(starts)} rows, fewer than there are targets")
-            yield Job(T, chunk.kinds, q0, first)
+            doubt_far(plan.robot, T)
+            start = plan.home if starts is None else starts
+            if len(start) != 1 and len(start) < first + len(T):
+                raise InvalidConfiguration(f"q0 has {len(start)} rows, fewer than there are targets")
+            start = start if len(start) == 1 else start[first : first + len(T)]
+            yield Part(T, chunk.kinds, start, starts is not None, first)
             first += len(T)
     if starts is not None and 1 < len(starts) != first:
         raise InvalidConfiguration(f"q0 has {len(starts)} rows, more than the {how_many(first, 'target')}")
@@ -198,51 +207,31 @@ def solve_batch(
     """
     check_progress(progress, "the number of targets done")
     require_robot(robot)
-    targets, options = with_free_turns(robot, targets, options)
-    given = known(targets, robot.base)
-    parts = solve_parts(
-        robot,
-        targets if given is None else given,
-        solver,
-        q0=q0,
-        threads=threads,
-        executor=executor,
-        check=check,
-        **options,
-    )
-    total = None if given is None else _length(given)
-    table, done, part, lost = np.empty((0, 0)), 0, None, []
+    total, tables, kinds, plan, notice = _begin(robot, targets, solver, q0, threads, executor, check, True, options)
+    table, done, lost = np.empty((0, plan.width)), 0, []
     try:
-        for part in parts:
+        for part in _wrapped(tables, kinds, plan, notice):
             end = done + len(part)
             if end > len(table):  # The table grows in place, without a second copy.
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
-                table.resize((size, part.table.shape[1]), refcheck=False)
+                table.resize((size, plan.width), refcheck=False)
             table[done:end] = part.table
             lost.append((done, part.failures))
             done = end
             if progress is not None:
                 progress(done)
     except KeyboardInterrupt:
-        if part is None:
+        if not lost:
             raise
-        raise BatchInterrupted(part.of(table[:done], joined_failures(lost))) from None
+        raise BatchInterrupted(BatchResult(table[:done], kinds, plan, joined_failures(lost), notice)) from None
     # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
-        table.resize((total if total is not None else done + len(part), part.table.shape[1]), refcheck=False)
+        table.resize((total if total is not None else done + len(part), plan.width), refcheck=False)
         table[done:end] = part.table[: end - done]
         table[end:] = 0.0
-        table[end:, [AT.position, AT.rotation, *range(SIZE.answer, table.shape[1])]] = np.nan
+        table[end:, [AT.position, AT.rotation, *range(SIZE.answer, plan.width)]] = np.nan
         table[:, AT.status] = CODE.check_failed
-        raise BatchCheckFailed(part.of(table), failure.target, 0) from None
-    if part is None:
-        solver = Solver(robot, solver, **options)
-        kinds = next(
-            (block.kinds for block in blocks(iter([] if given is None else [given]), robot)),
-            (KIND.pose,) * len(robot.tips),
-        )
-        plan = solver.plan_for(kinds)
-        return BatchResult(np.empty((0, plan.width)), kinds, plan)
-    table.resize((done, table.shape[1]), refcheck=False)
-    return part.of(table, joined_failures(lost))
+        raise BatchCheckFailed(BatchResult(table, kinds, plan, None, notice), failure.target, 0) from None
+    table.resize((done, plan.width), refcheck=False)
+    return BatchResult(table, kinds, plan, joined_failures(lost) if lost else None, notice)

@@ -97,7 +97,7 @@ def read_revolute(chain: Chain, count: int) -> Screws | str:
     screws = read_screws(chain)
     if isinstance(screws, str) or screws.turns.all():
         return screws
-    return "not all of its joints are revolute"
+    return "one of its joints is prismatic; all must be revolute"
 
 
 def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:

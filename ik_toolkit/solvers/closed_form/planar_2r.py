@@ -26,7 +26,7 @@ from .geometry import (
     measure_tip,
     no_fit,
     one_turn,
-    read_screws,
+    read_revolute,
 )
 from .nearest import choose
 from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
@@ -36,13 +36,9 @@ STEPS = 8  # number of Newton steps that correct a branch if axes are only nearl
 
 def recognise_planar(chain: Chain) -> Fit:
     """Return whether, and how exactly, a chain is two revolute joints with parallel axes, as a Fit."""
-    if chain.n != 2:
-        return no_fit(f"it has {chain.n} joints on the path, not 2")
-    screws = read_screws(chain)
+    screws = read_revolute(chain, 2)
     if isinstance(screws, str):
         return no_fit(screws)
-    if not screws.turns.all():
-        return no_fit("one of its two joints is prismatic; both must be revolute")
     z, other = screws.axis
     tilt = float(np.linalg.norm(np.cross(z, other)))
     if tilt > NEAR:

@@ -115,10 +115,6 @@ class PID(NamedTuple):
         values, options = load_preset("pid", name, cls._fields)
         return cls(**values)._replace(tuned=options)
 
-    def options(self) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset from which the rule was made, or nothing."""
-        return dict(self.tuned or {})
-
     @classmethod
     def space(cls, robot: Any, position_only: bool, initial: "PID | None" = None) -> Space:
         """Return what `ik tune` searches: the gains on log scales, one start and, for poses, the orientation scale.

@@ -155,10 +155,6 @@ class StateSpace(NamedTuple):
         values, options = load_preset("state-space", name, cls._fields)
         return cls(**values)._replace(tuned=options)
 
-    def options(self) -> dict[str, Any]:
-        """Return the tolerance and iteration limit of the preset from which the rule was made, or nothing."""
-        return dict(self.tuned or {})
-
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
         """Return the solver itself or, if it has no matrices, the one designed for the robot, which is stored with the robot."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
