@@ -30,7 +30,7 @@ class JsonOutput:
 class TableOutput(JsonOutput):
     """The options --json and --csv of a command whose result is a table."""
 
-    csv_file: Path | None = option("FILE", "Write the table to a .csv.", "--csv", writes=[".csv"])
+    csv_file: Path | None = option("FILE", "Write the table to a .csv, in metres and radians.", "--csv", writes=[".csv"])
 
 
 @options("Output")
