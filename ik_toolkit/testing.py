@@ -356,7 +356,7 @@ def lists_solutions(case: Case) -> None:
 
 
 def survives_pickling(case: Case) -> None:
-    """A bound solver gives the same result after pickling."""
+    """Check that a solver bound to a robot gives the same result after pickling."""
     target, start, result = case.sample[0]
     sent = pickle.loads(pickle.dumps(case.bind(**LOOSE)))  # noqa: S301  made one line above
     case.claim(sent(target, q0=start).q.tobytes() == result.q.tobytes(), "a pickled solver gives another result")

@@ -232,7 +232,7 @@ class Command(typer.core.TyperCommand):
         formatter.write(help_text(self, ctx))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InvalidOption for an option without effect; errors of the library name options, not arguments."""
+        """Run the command. Raises InvalidOption for an option without effect, and errors of the library with its options named."""
         self._check_together(ctx)
         written = [
             ctx.params[one.name] for one in self.params if one.callback and isinstance(ctx.params[one.name], Path)

@@ -30,7 +30,9 @@ class JsonOutput:
 class TableOutput(JsonOutput):
     """The options --json and --csv of a command whose result is a table."""
 
-    csv_file: Path | None = option("FILE", "Write the table to a .csv, in metres and radians.", "--csv", writes=[".csv"])
+    csv_file: Path | None = option(
+        "FILE", "Write the table to a .csv, in metres and radians.", "--csv", writes=[".csv"]
+    )
 
 
 @options("Output")
@@ -193,7 +195,7 @@ class RobotOptions:
 
 @options()
 class WholeRobot(RobotOptions):
-    """Options for the robot, without --limit."""
+    """Options that choose the robot, for commands that take its joint limits as they are (no --limit)."""
 
     limit: None = None
 

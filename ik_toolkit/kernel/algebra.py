@@ -140,7 +140,7 @@ class Factors(NamedTuple):
         return V3(v.x, y, v.z - self.l20 * v.x - self.l21 * y)
 
     def scaled(self, v):
-        """Return D^-1 v, the second step of solving L D L' x = v."""
+        """Return D^-1 v: the second of three steps that solve L D L' x = b, with v = L^-1 b of the first."""
         return V3(self.pivots.x * v.x, self.pivots.y * v.y, self.pivots.z * v.z)
 
     def back(self, v):

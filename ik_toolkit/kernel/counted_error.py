@@ -294,8 +294,8 @@ def add_products(J, first, e, factor, H):
 class Bend(NamedTuple):
     """Factors by which the second derivatives of a tip's error enter a Lagrangian, see `add_pairs`."""
 
-    linear: V3  # (V3) factors of the second derivatives of the position
-    turn: V3  # (V3) factors of the second derivatives of the rotation vector itself
+    linear: V3  # (V3) weights of the second derivatives of the position's components
+    turn: V3  # (V3) weights of the second derivatives of the rotation vector's components
     least: M3  # (M3) matrix for the second derivatives of the squared rotation error; zeros unless that is minimised
 
 

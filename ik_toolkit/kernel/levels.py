@@ -95,7 +95,7 @@ class StepTables(NamedTuple):
     asked: Array  # (n,) joint weights, also of joints that are held now
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
-    multiplier: Array  # (m,) minus the multipliers of the constraint
+    multiplier: Array  # (m,) negated Lagrange multipliers of the constraint
     row: Array  # scratch, for instance for one vector of the null space
     scales: Array  # scale of each reflection in `linalg.triangle`
     order: Array  # order of the columns in `linalg.triangle`
@@ -271,9 +271,10 @@ def down_level(s, k, last, bench, box):
 
 @inline
 def multipliers(level, base, k, bench):
-    """Write to bench.multiplier minus the Lagrange multipliers of the levels below `base`, for the gradient of another level.
+    """Write to bench.multiplier the negated Lagrange multipliers of the levels that come before level `base`.
 
-    The gradient is bench.gradient. The last call of `onto_constraint` must have written the factors in `bench` that are used here.
+    They belong to the gradient of level `base` or a later one, in bench.gradient. The last call of `onto_constraint` must have
+    written the factors in `bench` that are used here.
     level: (2 F,) level of the position and of the rotation errors of each tip; k: number of free joints.
     """
     b, out, r = bench.rhs, bench.multiplier, 0

@@ -247,9 +247,9 @@ def secant(old, before, way, dq, gain):
 
 @inline
 def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
-    """Improve a solution by a secondary objective: the function `refine`, with its arrays given as views.
+    """Improve a solution by a secondary objective, see `refine`, which gives all scratch memory as one array, `block`.
 
-    block: scratch memory.
+    The arrays cut from it are views, so that nothing is allocated here.
     """
     n = ref.shape[0]
     p, o, weights, full, box = solved_problem(block, rows, ends, row, orders, n, what)

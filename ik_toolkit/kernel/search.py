@@ -77,7 +77,7 @@ class Patience(NamedTuple):
 
     iterations: float  # highest number of iterations
     ceiling: float  # squared error above which the attempt is given up in its first iteration
-    decay: float  # what that squared error is multiplied by in each further iteration
+    decay: float  # factor by which this bound on the squared error changes in each further iteration
     # An attempt nearer than this to `SearchInput.closest` [squared distance] ends, because it would end there (0: never).
     known: float
 

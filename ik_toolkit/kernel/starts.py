@@ -218,10 +218,10 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill the arrays `moves` and `choosers` of a TreeProblem; joints that only move tips without a target are left out.
+    """List which coordinates change errors of a tip (`moves`), and which tip chooses the start of each (`choosers`), see `Tree`.
 
-    ends: a row for each tip; tasks: (F, SIZE.task); n: number of coordinates; asked (F,) is scratch: 1 if a tip takes part, because
-    it has a target or another tip's target is relative to it.
+    Coordinates that only move tips without a target are in neither. ends: a row for each tip; tasks: (F, SIZE.task); n: number of
+    coordinates; asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """
     # The last n numbers in a tip's row of `ends` flag the coordinates that move it.
     F, own = ends.shape[0], ends.shape[1] - n

@@ -31,7 +31,7 @@ FINE = 0.0125
 FEWEST, MOST = 4, 64  # least and largest number of examined points between two rows
 # A pose at which the path turns by more than this angle [rad] is a corner, not a sample of a smooth curve.
 CORNER = math.radians(60.0)
-ARC = 1.25  # factor on the sagitta (height over its chord) of an arc, because a spline leaves the chords further
+ARC = 1.25  # factor on the height of an arc over its chord (sagitta), because a spline deviates further from the chord than an arc
 
 
 class Curve(NamedTuple):

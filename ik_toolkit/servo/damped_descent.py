@@ -54,7 +54,7 @@ class DampedDescent(NamedTuple):
     raised: float = 2.0  # factor by which `share` is raised when the error does not fall
     lowered: float = 0.9  # factor by which `share` is lowered while the error falls
     # After joints have turned back and `share` was raised, it must not fall below this fraction of the raised value for a while.
-    # That is floor * turned = 2 times the value with which they turned back.
+    # With `turned` it is 0.25 * 8 = 2 times the share at which they turned back.
     floor: float = 0.25
     fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
     brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion

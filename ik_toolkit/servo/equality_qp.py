@@ -59,8 +59,8 @@ class TwoLevels(NamedTuple):
     task: int  # number of rows of the task
     y: Array  # (N,) solution of the last equality-constrained problem
     want: Array  # (N,) values desired by the second objective
-    floor: Array  # (N,) lower bounds
-    roof: Array  # (N,) upper bounds
+    floor: Array  # (N,) lower bounds of the unknowns
+    roof: Array  # (N,) upper bounds of the unknowns
     scaling: Array  # (N,) the joint rate that a value of 1 of each unknown stands for
     P: Array  # (K, N) coefficients: the inequalities, each of norm 1, then the task
     rhs: Array  # (K,) right-hand sides

@@ -297,10 +297,10 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return whether there is one.
+    """Write to c (n,) a correction of the error e (m,) that uses joints with low speed limits less; return whether there is one.
 
-    There is none if no joint is slow. The pseudo-inverse of J (transposed, (n, m)) is weighted by the joints' speeds, rounded to
-    powers of 2, so that J is restored exactly. H, y: scratch.
+    There is none if all speed limits are about equal. J (transposed, (n, m)) is scaled in place by the speed limits, rounded to
+    powers of 2, so that undoing this restores it exactly. H, y: scratch.
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):

@@ -66,10 +66,10 @@ def initial_rates(law, J, f, G, y, limits, q, rate, state):
 
 @inline
 def keep_axes(counts, flip):
-    """Clear the mirror planes `flip` (F, 3) of tips whose rotation errors have slack or unequal weights.
+    """Switch mirroring off (`flip` (F, 3) to zero) for tips whose rotation errors have slack or unequal weights.
 
-    Slack and weights belong to fixed axes, and mirroring, which makes the axis of a free rotation the last one, would mix these.
-    counts (4, m): as in `Settings`.
+    The axes of a tip with a free rotation are mirrored, so that the free axis becomes the last one. Slack and weights are given for
+    the axes that are not mirrored, and mirroring would mix them. counts (4, m): as in `Settings`.
     """
     weight, slack = counts[0], counts[1]
     for f in range(flip.shape[0]):

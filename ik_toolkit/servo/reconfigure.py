@@ -159,7 +159,7 @@ class MoveConstants(NamedTuple):
     far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
     barred: int = 5  # number of postures remembered as blocked by a collision
     arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-    # [s] The same if the target stands still: as it does not move away meanwhile, the move continues nearly to its end.
+    # [s] The time left at which a move ends if the target stands still, and so does not move away before it is reached.
     close: float = 1e-3
 
 
@@ -218,7 +218,7 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = SEARCH.pause, []
             return
-        # A joint that is locked during a search would make every move last for ever.
+        # With a joint locked since the search began, every move that was found would last for ever, so the search is dropped.
         if self._left and locked(limits):
             self.forget()
         if self._now:

@@ -33,7 +33,8 @@ class RetimingConstants(NamedTuple):
     acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
     tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
     faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
-    joints: float = 1.2  # factor by which the joint limits of a redundant robot are raised for a faster time law
+    # factor on the speed and acceleration limits of a redundant robot when a faster time law is tried: other joints may help
+    joints: float = 1.2
     tip: float = 1.5  # factor by which the allowed error of the tip is raised for a faster time law
     far_off: float = 4.0  # number of tolerances above which an error does not come from the linearisation of steps
     enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference

@@ -205,7 +205,7 @@ class Stream(CopiesViews):
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        # [s] longest recent time between two targets; and since those two the longest such time [s] and the number of targets
+        # Three numbers: the longest recent time between two targets [s], the longest one since then [s], the targets since then.
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:

@@ -248,7 +248,7 @@ class Bench(NamedTuple):
     U: Array  # (m, m) task directions u_k of the singular values, one a row
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
-    xk: Array  # (m,) joint speed along a direction removed from the task
+    xk: Array  # (m,) joint speed along each joint direction that is removed from the task
     pull: Array  # (m,) joint rates per unit of slope, see `singular_step.down_slopes`
     flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error

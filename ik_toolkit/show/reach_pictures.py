@@ -131,7 +131,7 @@ def ramp(values: np.ndarray) -> np.ndarray:
 
 
 def plot_places(found: Placements) -> Any:
-    """Draw the floor from above: for each square the largest share of poses reached from it (grey: none), obstacles and places."""
+    """Draw the floor from above: for each square the share of poses reached at its best yaw and height (grey: none)."""
     bases, shares = found.candidates, found.shares
     each = found.poses.values() if isinstance(found.poses, dict) else [found.poses]
     at = np.concatenate([one if one.ndim == 2 else one[:, :3, 3] for one in each])

@@ -21,7 +21,7 @@ class SearchSizes(NamedTuple):
     samples: int = 400_000  # random configurations of which the inverse reachability map is made
     height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
     sides: int = 9  # number of cells along each edge of the cube onto which directions are projected
-    floor: float = 1 / 24  # width of the cells of the floor, over the reach, in which the map counts poses in reach
+    floor: float = 1 / 24  # width of a cell of the floor, over the reach; the map counts the poses in reach from it
     yaws: int = 36  # number of cells of yaw in which the map counts poses in reach
     voted: int = 300  # number of candidates proposed by the inverse reachability map
     spread: int = 3000  # number of candidates spread evenly over the region
@@ -30,7 +30,7 @@ class SearchSizes(NamedTuple):
     keep: int = 10  # number of bases that are refined
     around: int = 20  # number of new bases around each base that is refined
     last: int = 740  # number of candidates that are examined on all poses
-    # number of rounds that refine the best three bases; their new bases are among the `last` candidates
+    # number of rounds that refine the best three bases; the bases that they add count towards `last`
     final: int = 8
     attempts: int = 4  # number of solver attempts per pose while candidates are examined
     sure: int = 50  # number of solver attempts per pose for the placements that are returned

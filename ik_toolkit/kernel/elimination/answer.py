@@ -21,7 +21,7 @@ from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 
 @inner
 def merge_into(one, whole):
-    """Add the solutions of one ordering of the loop, in `one`, to those in `whole`, both (SIZES.rows, SIZES.columns).
+    """Add the solutions of one ordering of the joints in the loop, in `one`, to those in `whole`, both (SIZES.rows, SIZES.columns).
 
     Returns whether `whole` then contains no solution that `one` lacks.
     """

@@ -118,7 +118,8 @@ def put_branch(d, free, half, merged, doubt, error, near):
 def split_wrist(d, pose, off, near):
     """List the branches of an arm whose last three axes meet.
 
-    d: the arrays of `answer.Work`, which get the branches; pose: pose of the reordered loop; off, near: as for `decompose`.
+    d: the arrays of `answer.Work`, which get the branches; pose: pose that
+    closes the loop of joints, renumbered so that these three come last; off, near: as for `decompose`.
     """
     lines, t = d.e.lines, d.null.t
     one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
@@ -198,8 +199,7 @@ def split_parallel(d, pose, off, near):
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
         unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
-        # Axis 6 is parallel to w, so joint 6 may turn within the range in which the elbow reaches; the middle of this range is
-        # listed.
+        # Axis 6 is parallel to w, so joint 6 may turn within the range in which the elbow reaches. The middle of it is listed.
         if loose:
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)

@@ -112,7 +112,8 @@ class DecompositionThresholds(NamedTuple):
     # A pose displaced by e has complex solutions at most 30 sqrt(e) (`decide.MARGINS.gap`) from real ones. Complex solutions within
     # d of real ones therefore belong to displacements up to (d / 30)^2; twice that is used, about 2e-3 d^2.
     near: float = 2e-3
-    alike: float = 1e-12  # an arm whose axes miss a decomposition by less has no more solutions than branches
+    # If axes are parallel or meet to within this [lengths over the reach, rad], a branch of the formulas has one solution at most.
+    alike: float = 1e-12
 
 
 VERDICT, STATE, SIZES, TRUST, DOUBT = Verdicts(), RootState(), Sizes(), CertaintyThresholds(), DecompositionThresholds()

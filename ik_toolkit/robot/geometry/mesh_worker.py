@@ -24,8 +24,7 @@ FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is
 REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
 # Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# trimesh imports these packages if they are installed, although reading a mesh does not need them. Importing them takes three
-# times as long as everything else.
+# Packages that trimesh imports if it finds them. No mesh needs them, and importing them takes three times as long as the rest.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 

@@ -289,7 +289,7 @@ class Session:
         self._hand = None
 
     def clear_boxes(self) -> None:
-        """Remove all boxes."""
+        """Remove all obstacle boxes that the user has added."""
         self.boxes, self._world, self._hand = {}, None, None
 
     def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:

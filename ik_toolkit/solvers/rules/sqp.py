@@ -42,7 +42,7 @@ class LevelStep(NamedTuple):
     numbers: Array
 
     def aimed(self, p, T, orders):
-        # Only a position at level 0 proves a target out of reach: it does not depend on the orientation.
+        # Only a position at level 0 proves a target out of reach: that proof needs no orientation.
         return p.exact(p.aim(T, Tolerances(orders.tol_p, np.inf)), self.numbers[1:])
 
     def evaluated(self, p, q):
