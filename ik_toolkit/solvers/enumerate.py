@@ -147,8 +147,8 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple) -> tu
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
-    moved = np.abs(out[:, SIZE.answer : SIZE.answer + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
-    moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
+    began = np.vstack([found.q[where]] * 2)
+    moved = _apart(out[:, SIZE.answer : SIZE.answer + robot.n], began, robot.chain.unit, turning)
     another = (out[:, AT.status] == CODE.converged) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()
@@ -164,16 +164,16 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
     unit = found.robot.chain.unit
     kept: list[int] = []
     for k, q in enumerate(found.q):
-        if not kept or _apart(found.q[kept], q, unit, turning).min() >= THRESHOLDS.same:
+        if not kept or _apart(found.q[kept], q, unit, turning).max(axis=1).min() >= THRESHOLDS.same:
             kept.append(k)
     return found.keep(np.array(kept, dtype=int))
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the largest joint difference (K,) [rad, or length over the scale] of Q (K, n) from q, modulo 2 pi where revolute."""
+    """Return the differences (K, n) [rad, or length over the scale] of joint values Q from q (n,) or (K, n), modulo 2 pi."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
-    return apart.max(axis=1)
+    return apart
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
