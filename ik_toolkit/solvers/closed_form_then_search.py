@@ -1,5 +1,6 @@
 """Combines a closed form with the iterative search, which runs for the targets that the closed form leaves unsolved."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -35,24 +36,19 @@ def with_search(plan: Any, closed: Callable) -> Callable:
     """
     robot = plan.robot
     silent = np.empty((0, SIZE.past + robot.n))
-    made: list[tuple[Any, Any, dict[int, float]]] = []
 
+    @functools.cache
     def searches() -> tuple[Any, Any, dict[int, float]]:
         """Return the Plan of the search, the same with one attempt, and the values {index in q: value} of joints that both fix.
 
         They are made when first needed.
         """
-        if not made:
-            options = dict(PLAIN)
-            held = plan.rule.held(robot)
-            if held:
-                weights = (
-                    np.ones(robot.n) if plan.options.joint_weights is None else np.array(plan.options.joint_weights)
-                )
-                weights[list(held)] = 0.0
-                options["joint_weights"] = tuple(weights.tolist())
-            made.append((plan.search(**options), plan.search(**{**options, "restarts": 0}), held))
-        return made[0]
+        options, held = dict(PLAIN), plan.rule.held(robot)
+        if held:
+            weights = np.array(plan.options.joint_weights or (1.0,) * robot.n)
+            weights[list(held)] = 0.0
+            options["joint_weights"] = tuple(weights.tolist())
+        return plan.search(**options), plan.search(**{**options, "restarts": 0}), held
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain

@@ -71,14 +71,6 @@ class Blocked(NamedTuple):
     solutions: int  # number of solutions if limits are ignored
 
 
-class ListedSolutions(NamedTuple):
-    """All solutions of one target as the elimination lists them, including those that break a joint limit."""
-
-    q: np.ndarray  # (K, n) [rad], shifted by 2 pi k into the limits, nearest the start
-    excess: np.ndarray  # (K, n) by how much each joint breaks its limits [rad]
-    certificate: Any
-
-
 def elimination_plan(plan: Plan) -> Plan | None:
     """Return a Plan that solves by elimination with the options of `plan`, or None if the robot or an option rules that out."""
     robot = plan.robot
@@ -237,11 +229,6 @@ class Deciding(Plan):
         return elimination_plan(self)  # pyright: ignore[reportReturnType]
 
     @functools.cached_property
-    def exact_free(self) -> Plan:
-        """The plan that solves by elimination without joint limits."""
-        return self.exact.varied(limits=False)
-
-    @functools.cached_property
     def error(self) -> float:
         """The larger of both tolerances [rad, or length over the arm's size]."""
         size = self.exact.orders(POSES, True)[-1]
@@ -285,7 +272,7 @@ class Deciding(Plan):
     def _fixed(self, given: bool) -> tuple[Any, ...]:
         """Return what does not depend on targets: rows, ends, box, orders, terms of `decide_rows`, arguments of `answers`."""
         if ("fixed", given) not in self.memo:
-            exact, free, o = self.exact, self.exact_free, self.options
+            exact, free, o = self.exact, self.exact.varied(limits=False), self.options
             terms = (
                 MARGINS.near,
                 MARGINS.gain * self.error,
@@ -304,21 +291,16 @@ class Deciding(Plan):
         """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
-    def list_at(self, T: np.ndarray, near: np.ndarray) -> ListedSolutions:
-        """Return all solutions of T (4, 4), within the limits or not, each angle shifted by 2 pi k to be nearest to `near` (n,)."""
-        said = solutions_of(self.exact.orders(POSES, True)[SIZE.weights + self.robot.n :], T)
-        q, excess = np.empty_like(said.q), np.empty_like(said.q)
-        into_limits(said.q, np.vstack([self.box, near]), q, excess)
-        return ListedSolutions(q, excess, said.certificate)
-
 
 def blocked(result: Any) -> Blocked | None:
     """Return the solution that breaks its limits least, if a result is certified to have none that keeps them."""
     of = result._of
     if of.row[AT.excess] != DECIDED or of.row[AT.status] != CODE.limit_blocked:
         return None
-    found = of.plan.list_at(of.T[0], of.start[0])
-    worst = found.excess.max(axis=1)
+    Q = solutions_of(arm_of(of.plan.exact)[1], of.T[0]).q
+    q, excess = np.empty_like(Q), np.empty_like(Q)
+    into_limits(Q, np.vstack([of.plan.box, of.start]), q, excess)
+    worst = excess.max(axis=1)
     best = int(np.argmin(worst))
-    joint = int(np.argmax(found.excess[best]))
-    return Blocked(found.q[best], of.plan.robot.joint_names[joint], float(worst[best]), len(worst))
+    joint = int(np.argmax(excess[best]))
+    return Blocked(q[best], of.plan.robot.joint_names[joint], float(worst[best]), len(worst))

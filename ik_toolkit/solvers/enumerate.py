@@ -77,18 +77,15 @@ def search_solutions(
     found = found.keep(np.argsort(found.distance, kind="stable"))
     if o.priority is not None:
         return _minima(found, plan, kinds, T, f"({len(out)} of {starts} starts converged)", count)
-    redundant = _redundant(plan, kinds)
     found._put(families=_families(single, found, T, kinds))
-    distinct = len(found)
-    if (redundant or found.families) and distinct > count:
+    # The task may leave joints free; an axis target frees the turn about its axis.
+    free = robot.n - len(plan.held) > Asked(robot, kinds, options=o).rows
+    if (free or found.families) and len(found) > count:
         found = spread_rows(found, count)
-    many = redundant or found.families
-    words = (
-        how_many(len(found), "solution") + " of infinitely many" if many else how_many(len(found), "distinct solution")
-    )
-    found._put(message=f"{words} ({len(out)} of {starts} starts converged)")
-    if found.families:
-        found._put(message=found.message + f"; {found.families[0].message}")
+    many = f"{how_many(len(found), 'solution')} of infinitely many"
+    words = many if free or found.families else how_many(len(found), "distinct solution")
+    curves = "".join(f"; {family.message}" for family in found.families)
+    found._put(message=f"{words} ({len(out)} of {starts} starts converged){curves}")
     return found
 
 
@@ -108,11 +105,6 @@ def _minima(found: Solutions, plan: Plan, kinds: tuple, T: np.ndarray, words: st
     plural = "minima" if len(found) != 1 else "minimum"
     found._put(message=f"{len(found)} local {plural} of the errors in order of priority, the least first {words}")
     return found
-
-
-def _redundant(plan: Plan, kinds: tuple) -> bool:
-    """Return whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
-    return plan.robot.n - len(plan.held) > Asked(plan.robot, kinds, options=plan.options).rows
 
 
 def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.ndarray:
@@ -147,8 +139,8 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple) -> tu
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
-    moved = np.abs(out[:, SIZE.answer : SIZE.answer + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
-    moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
+    began = np.vstack([found.q[where]] * 2)
+    moved = _apart(out[:, SIZE.answer : SIZE.answer + robot.n], began, robot.chain.unit, turning)
     another = (out[:, AT.status] == CODE.converged) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()
@@ -164,16 +156,16 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
     unit = found.robot.chain.unit
     kept: list[int] = []
     for k, q in enumerate(found.q):
-        if not kept or _apart(found.q[kept], q, unit, turning).min() >= THRESHOLDS.same:
+        if not kept or _apart(found.q[kept], q, unit, turning).max(axis=1).min() >= THRESHOLDS.same:
             kept.append(k)
     return found.keep(np.array(kept, dtype=int))
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the largest joint difference (K,) [rad, or length over the scale] of Q (K, n) from q, modulo 2 pi where revolute."""
+    """Return the differences (K, n) [rad, or length over the scale] of joint values Q from q (n,) or (K, n), modulo 2 pi."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
-    return apart.max(axis=1)
+    return apart
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:

@@ -266,10 +266,10 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
     """Add the solutions that a search found (`other`) to those of a closed form that may miss some (`first`)."""
-    q, distance = np.vstack([first.q, other.q]), np.concatenate([first.distance, other.distance])
-    turned = np.concatenate([first.orientation_error, other.orientation_error])  # pyright: ignore
-    errors, by = (np.concatenate([first.position_error, other.position_error]), turned), first.found_by + other.found_by
-    both = Solutions(first.robot, q, distance, errors, False, plan.row.name, "", other.families, None, by)
+    names = ("q", "distance", "position_error", "orientation_error")
+    q, away, position, turned = (np.concatenate([getattr(first, name), getattr(other, name)]) for name in names)
+    by = first.found_by + other.found_by
+    both = Solutions(first.robot, q, away, (position, turned), False, plan.row.name, "", other.families, found_by=by)
     both = distinct_rows(both, plan)
     added = sum(name != plan.row.name for name in both.found_by)
     both._put(message=f"{first.message}; {added} more by {other.solver}: {other.message}")

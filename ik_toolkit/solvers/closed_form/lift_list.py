@@ -136,17 +136,6 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
     return count
 
 
-@cached
-def reaching(p, T, low, high, spans):
-    """Fill spans (2, 2) with the intervals of the lift [m], between low and high, that reach T (4, 4); return their number.
-
-    p: the arm's parameters (`lift_arm`); the lift is the value of the prismatic joint, along the shoulder's axis.
-    """
-    P = np.empty(12)
-    wrist_pose(p, T, P)
-    return lift_intervals(P, p[A4], p[A6], low, high, spans)
-
-
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
@@ -154,9 +143,9 @@ def feasible_lifts(
 
     p: the arm's parameters (`lift_arm`).
     """
-    spans, sign = np.empty((2, 2)), p[LIFT + 1]
-    ends = sorted((sign * low, sign * high))
-    count = reaching(p, np.ascontiguousarray(T, dtype=float), float(ends[0]), float(ends[1]), spans)
+    P, spans, sign = np.empty(12), np.empty((2, 2)), p[LIFT + 1]
+    wrist_pose(p, T, P)
+    count = lift_intervals(P, p[A4], p[A6], *sorted((float(sign * low), float(sign * high))), spans)
     return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
 
 

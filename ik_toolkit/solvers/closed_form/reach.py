@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ...compile.jit import cached, inline, inner, shared
+from ...compile.jit import cached, dual, inline, inner, shared
 from ...kernel.kinematics import TAU
 from .geometry import legal_turn
 
@@ -356,7 +356,7 @@ def keep_interval(out, count, a, b, low, high):
     return count
 
 
-@shared
+@dual
 def lift_intervals(P, a4, a6, low, high, out):
     """Fill out (2, 2) with the intervals of the lift [m], between low and high, that reach a wrist pose P; return their number.
 
