@@ -79,9 +79,9 @@ def _begin(
         raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
     targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
-    total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
-    first = next(chunks, None)
+    first = next(chunks, None)  # This raises InvalidTarget for targets that cannot be read, so they can be counted next.
+    total = None if given is None else _length(given)
     starts, notice = _read_starts(robot, q0, total)
     kinds = (KIND.pose,) * len(robot.tips) if first is None else first.kinds
     plan = Solver(robot, solver, **options).plan_for(kinds)
