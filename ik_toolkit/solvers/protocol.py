@@ -47,15 +47,23 @@ class Asked:
         return all(kind == KIND.position for kind in self.kinds)
 
     @property
-    def rows(self) -> int:
-        """Number of independent errors that the joints can change at all; the position of a planar arm has two, not three."""
+    def span(self) -> np.ndarray:
+        """Orthonormal basis (6 F, r) of the errors that the joints can change at all, lengths over the scale.
+
+        A planar arm's position has two, not three.
+        """
         rng = np.random.default_rng(0)
         Q = np.array([self.robot.random_q(rng) for _ in range(4)])
         J = np.concatenate(list(self.robot.chain.forward(Q, jacobian=True)[1] * self.robot.chain.unit), axis=1)
         J[np.arange(len(J)) % 6 < 3] /= self.robot.chain.scale
         J[~counted_rows(self.robot, self.kinds, self.options)] = 0.0
-        size = np.linalg.svd(J, compute_uv=False)
-        return int((size > 1e-9 * size[0]).sum())
+        U, size, _ = np.linalg.svd(J, full_matrices=False)
+        return U[:, size > 1e-9 * size[0]]
+
+    @property
+    def rows(self) -> int:
+        """Number of independent errors that the joints can change at all."""
+        return self.span.shape[1]
 
 
 class Rule(Protocol):
