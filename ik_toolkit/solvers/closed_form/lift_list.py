@@ -12,7 +12,6 @@ from .geometry import Branches, Family, one_turn
 from .lift_arm import (
     A4,
     A6,
-    GIVEN,
     JOINTS,
     LEVEL,
     LIFT,
@@ -170,10 +169,7 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
     """
     place, sign, choice = int(p[LIFT]), p[LIFT + 1], p[LIFT + 2]
     free_lift = place >= 0 and choice == NEAREST
-    if place < 0 or choice == GIVEN:
-        lifts = np.array([0.0 if place < 0 else sign * p[LIFT + 3]])
-    else:
-        lifts = np.array([first_lift(p, T, box)])
+    lifts = np.array([first_lift(p, T, box)])
     words = "" if place < 0 else f" at lift {sign * lifts[0]:.6g} m"
     families = []
     if free_lift:
