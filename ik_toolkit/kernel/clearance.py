@@ -291,8 +291,8 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 closing += rate[e] * move
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
-                # Within a piece a joint deviates from steady motion between two points by at most 1/8 of its change of speed (in
-                # moves per piece).
+                # Between any two points of a piece a joint deviates from steady motion by at most 1/8 of its change of speed over
+                # the piece, with speeds measured as moves per piece.
                 curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
             bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(

@@ -155,7 +155,7 @@ def errors_at(task, ends, goal, kept, axes, tip):
 
 @inline
 def counted(kind, kept, linear, angular):
-    """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
+    """Return a column (linear, angular) of the tip's Jacobian, converted to the components of the error that count.
 
     kind: a number of `TargetKinds`; kept: (IN.size,) as `shape` has filled it.
     """

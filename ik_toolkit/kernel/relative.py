@@ -11,7 +11,7 @@ from .records import WHAT
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other tip's first joint, in the frame of the first joint of the tip that has the target
-LINK = 24  # length of the array (LINK,)
+LINK = 24  # length of this array: 9 + 3 + 12
 
 
 @inner

@@ -71,7 +71,7 @@ class Serial(NamedTuple):
         return self.look(axes, tip)
 
     def look(self, axes, tip):
-        """Return the errors, as a Look, for the given axes of the last joint and position of the tip."""
+        """Return the errors to the target, as a Look, with the last joint's frame in these axes and the tip at this position."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)

@@ -219,7 +219,7 @@ def write_answer(p, o, ends, s, lane, wanted, call):
 
 @inline
 def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Solve until every target is done or left to the ordinary search: what `lanes` compiles, with its arguments given as views.
+    """Solve until every target is done or left to the ordinary search; `lanes` compiles this and passes its arrays as views.
 
     chain: the array `ends` of a `Chain`; block: scratch memory.
     """

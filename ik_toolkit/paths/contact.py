@@ -75,7 +75,7 @@ class Margins:
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
         """Return the largest of the margin factors levels[first:] with which q (n,) is free of contact, and its index.
 
-        If q is free with none of these factors, the result is 0 where nothing touches, and -1 where shapes touch.
+        If q is free with none of them, the factor is 0 where nothing touches and -1 where shapes touch, and the index is the last.
         """
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):

@@ -260,7 +260,7 @@ class HalfTurns:
         self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
 
     def turn_round(self, gaps: list[int]) -> bool:
-        """Reverse the rotations of 180 degrees that follow the poses in `gaps`; return False if there are none."""
+        """Let the rotations of 180 degrees after the poses in `gaps` go the other way round; return False if there are none."""
         meant = np.isin(self.gaps, gaps)
         self.axes[meant] *= -1.0
         return bool(meant.any())

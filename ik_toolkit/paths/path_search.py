@@ -168,7 +168,7 @@ class Search:
         return np.array(free) if free else seeds[: max(1, count // 4)]
 
     def first_anchors(self) -> None:
-        """Solve poses spread over the path; q0 and q_end become tracks, too, if they reach the first and last pose."""
+        """Begin a track, a joint motion along the path, from solutions of some poses, and from q0 and q_end if they fit."""
         p, N = self.problem, len(self.problem.T)
         for k, (q, t) in enumerate(zip(self.ends, (0, N - 1), strict=True)):
             if q is not None and self.solves(q, t):

@@ -43,7 +43,7 @@ class JointPath(NamedTuple):
     """The joints between base and tip of a Pinocchio model, and where their n coordinates are in its configuration (nq,)."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
-    # This many of `joints`, the first, lead from the base up towards the root; the path to the tip branches off above them.
+    # Number of `joints`, from the first on, that lead from the base towards the root, before the path turns to the tip.
     up: int
     # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
     leaders: list[int]

@@ -254,7 +254,7 @@ class Robot(Joints):
 
     @property
     def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """A tuple with this robot alone, as a Tree has one of a Robot for each tip."""
+        """A tuple with this robot alone, so that it can be used like a Tree, whose `arms` are a Robot for each tip."""
         return (self,)
 
     @property

@@ -44,9 +44,10 @@ GUARD = GuardThresholds()
 class Path(NamedTuple):
     """A step and the braking to rest after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
-    The first piece lasts h [s]. Joints brake together: even [1/s] is the share of their initial rates that they lose per second,
-    and the last row of `rate` holds these initial rates. alone (n,): whether a joint brakes by itself instead, because its position
-    limit is near; aside (n,): the distance that such a joint needs for braking, 0 for other joints.
+    The first piece lasts h [s]. Joints brake together: even [1/s] is the share of the rates at which braking begins that they lose
+    per second. The last row of `rate` is not the rate at the end, which is 0, but holds the rates at which braking begins. alone
+    (n,): whether a joint brakes by itself instead, because its position limit is near; aside (n,): the distance that such a joint
+    needs for braking, 0 for other joints.
     """
 
     q: np.ndarray

@@ -178,7 +178,7 @@ class Run:
             if taken.missed == 0 or taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # The next law is for the path that the joints took.
+            if not way.led and len(taken.Q) == len(clock.s):  # Joints that were not led took a path of their own.
                 way = way._replace(Q=resampled(way.s, clock.s[moved], taken.Q[moved]))
             again = share < RETIME.acceleration[0]
             if again or self._excess(taken.E).max() < RETIME.far_off:

@@ -72,7 +72,7 @@ def probe_mode(s, r, part, rate, h):
     joint rates; h [s]: the step.
     """
     n = rate.shape[0]
-    if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
+    if part < 0:  # Joint n + part moves alone, for one entry of the gradient of the singular value.
         clear(s.x2)
         s.x2[part + n] = 1.0
         return 0.0

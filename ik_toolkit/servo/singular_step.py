@@ -124,10 +124,10 @@ def bring_along(v, x, value, share):
 
 @inner
 def mode_probe(v, rate, part, h, x):
-    """Write to x (n,) a joint motion for which the curvature of the tip's path is needed; return the joints' rate along v (n,).
+    """Write to x (n,) the joint motion along which the curvature of the tip's path is evaluated next; return the rate along v.
 
-    rate (n,): present joint rates. part: ALONG for v itself; BESIDE for the joints' move in a step of h [s] without its part along
-    v; BOTH for the sum of these two.
+    v (n,): unit joint direction of a singular value; rate (n,): present joint rates. part: ALONG for v itself; BESIDE for the
+    joints' move in a step of h [s] without its part along v; BOTH for the sum of these two.
     """
     n = x.shape[0]
     own = dot(v, rate, n)
@@ -186,8 +186,8 @@ def mode_moved(u, e, ahead, f, h):
 def mode_direction(W, sv, r, away, way, v):
     """Write to v (n,) the unit joint direction that belongs to singular value r; return False if there is none to move along.
 
-    W (m, n) and sv (m,) are as `modes` wrote them. For a singular value near 0 the direction is `away` (n,) without what moves the
-    tip, and there is none unless a tip motion, `way`, is asked for.
+    W (m, n) and sv (m,) are as `modes` wrote them; way: tip motion that is asked for along this direction. For a singular value
+    near 0 the direction is the part of the joint motion `away` (n,) that does not move the tip; there is none if `way` is 0.
     """
     clear(v)
     if sv[r] > WEAK.zero:

@@ -19,8 +19,8 @@ SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (
 def plot_map(found: ReachabilityMap) -> Any:
     """Draw the planes through the middle of a map's reached cells, coloured by share of orientations or by manipulability.
 
-    White is proven out of reach; grey means that no configuration was found and nothing is proven. The title gives the counts and
-    the audit.
+    White is proven out of reach; grey means that no configuration was found and nothing is proven. The title says
+    how many cells are of each kind, and how many of the grey ones more attempts reached (the audit).
     """
     total = found.states.size
     share = {name: f"{100 * count / total:.3g} %" for name, count in found.counts().items()}

@@ -188,7 +188,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             if _beside(made, terms):
-                continue  # A pose beyond the limits is within the tolerances, or nearly so, which decides nothing.
+                continue  # Joint values outside the limits come so near to the target that nothing is decided.
         # Q has the solutions moved onto the limits they break; the best may be nearer to the target than the search came.
         if count > 0:
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)

@@ -35,7 +35,7 @@ class MotionEnd(NamedTuple):
     closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
     singular: int = 2  # a singular pose, where the next step would be too short
-    long: int = 3  # the curve was not followed any further
+    long: int = 3  # the curve goes on, but the largest number of its points was reached
 
 
 @compiled

@@ -39,7 +39,7 @@ class Roots(NamedTuple):
 
     values: Array  # (K,) values of the determinant at K angles
     c: Array  # (2 d + 1,) complex coefficients of z^0 ... z^2d, the largest 1 in size
-    z: Array  # (2 d,) complex roots
+    z: Array  # (2 d,) complex roots of the polynomial
     radius: Array  # (2 d,) radii of the error discs, one around each computed root
     state: Array  # (2 d,) what is known of each root, a number of `terms.RootState`
 

@@ -211,7 +211,7 @@ def split_parallel(d, pose, off, near):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
             t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
-            # E2 E3 E4 = E1^-1 X E6^-1 E5^-1 is applied to the point of axis 4 and to a normal of w.
+            # Apply E2 E3 E4 = E1^-1 X E6^-1 E5^-1 to the point of axis 4, which E4 does not move, and to a vector normal to w.
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)

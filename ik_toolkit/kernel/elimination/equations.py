@@ -84,7 +84,9 @@ def fit_joint(table, stride):
 
 @inner
 def write_left(lines, table):
-    """Write to table (27, 14) the line numbers of E3 E4 E5 l as coefficients of products of 1, cos, sin of joints 3, 4 and 5.
+    """Write to table (27, 14) the left sides of the 14 loop equations, as coefficients of products of 1, cos, sin of joints 3 to 5.
+
+    They are the 14 numbers of the line E3 E4 E5 l, where Ei is the motion of joint i and l the axis of joint 6.
 
     With 0, 1, 2 for 1, cos, sin of the three joints (a, b, c), the row of a product is 9 a + 3 b + c. lines: (6, 6) axes of the
     reordered loop; l is the axis of joint 6.

@@ -79,7 +79,7 @@ def circle_about(line, point, sense):
 
 @inline
 def height_on(circle, axis):
-    """Return how high a point on a circle is along an axis through the origin, as a Sum."""
+    """Return the height along an axis through the origin of a point that runs round a circle, as a Sum over its angle."""
     return Sum(circle.middle.dot(axis), circle.side.dot(axis), circle.ahead.dot(axis))
 
 

@@ -42,7 +42,7 @@ def grid(count: int) -> np.ndarray:
 def target_basins(plt: Any, shares: dict[str, float]) -> Any:
     """Draw the outcome for all targets from the start (45, 90) degrees.
 
-    shares: solved targets [%] in the table of convergence, by its columns.
+    shares: percentage of targets solved, by column name of the table of convergence; the panels' titles state them.
     """
     side = np.linspace(-2.0, 2.0, 401)
     x, y = np.meshgrid(side, side)

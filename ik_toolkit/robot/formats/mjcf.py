@@ -30,7 +30,7 @@ from .urdf_write import add_joint, add_link, numbers_text, origin, shift, to_tex
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # Memory cap [bytes] of the process that runs MuJoCo. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
-SECONDS = 4  # Cap on the processor time [s] of that process. A large robot takes 1 s.
+SECONDS = 4  # Cap on the processor time [s] of the process that runs MuJoCo. A large robot takes 1 s.
 HIDDEN = 3  # Shapes of MJCF group 3 and above are not drawn, as in the viewer of MuJoCo.
 # A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")

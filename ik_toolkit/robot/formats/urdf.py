@@ -190,7 +190,7 @@ def parse(text: str) -> list[Item]:
             if joints > CAPS.joints:
                 raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
-        # A parent of a joint outside the robot's own elements is kept, because it shows a joint in a wrong place.
+        # The <parent> of a joint that stands inside another element is kept, so that an error can name that misplaced joint.
         elif above[1] in ITEMS or (tag == "parent" and above[-1] == "joint" and "link" in attributes):
             items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):

@@ -24,7 +24,8 @@ class Goal:
         kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
         desk._ask(gui.add_dropdown("Orientation", kinds, initial_value=kind), f"kind {tip}", self.give)
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
-        self.written = xyz, rotation  # texts in the fields; the handle's target has more digits
+        # Texts last written. Until the user edits them the handle's target is used, which has more digits.
+        self.written = xyz, rotation
         handle.turns(self.posed, kind != NONE)
 
     @property

@@ -80,7 +80,8 @@ def _begin(
     targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
-    first = next(chunks, None)  # This raises InvalidTarget for targets that cannot be read, so they can be counted next.
+    # This raises InvalidTarget for targets that cannot be read, so they can be counted next.
+    first = next(chunks, None)
     total = None if given is None else _length(given)
     starts, notice = _read_starts(robot, q0, total)
     kinds = (KIND.pose,) * len(robot.tips) if first is None else first.kinds
