@@ -255,9 +255,8 @@ class ErrorBounds:
         counts: which part of the tip's error counts (Counts: weights, dead bands, frame).
         """
         if counts.mask is None and counts.slack is None:
-            return (
-                0.125 * self.bend + self.off
-            )  # If all components count, the axes in which they are taken do not matter.
+            # If all components count, the axes in which they are taken do not matter.
+            return 0.125 * self.bend + self.off
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
         # A deviation of the joints also rotates the axes of the error; the factor 8 cancels the factor 0.125 below.

@@ -200,11 +200,8 @@ def test_a_search_goes_on_where_it_stopped(tmp_path):
     with pytest.raises(InvalidOption, match="another search"):
         tune(robot, "dls", generations=2, checkpoint=file, seed=5, **SMALL)
     model = robot.model.copy()
-    model.jointPlacements[3].translation += (
-        0.0,
-        0.0,
-        0.1,
-    )  # the same name and other links: these costs are not its own
+    # The robot has the same name and other links, so these costs are not its own.
+    model.jointPlacements[3].translation += (0.0, 0.0, 0.1)
     with pytest.raises(InvalidOption, match="another search"):
         tune(ik.Robot(model, tip=robot.tip), "dls", generations=2, checkpoint=file, **SMALL)
     with pytest.raises(InvalidOption, match="another search"):
