@@ -4,7 +4,6 @@ A preset file has `solver`, optionally `robot`, `position` and `source`, a table
 [options]. Shipped ones are in the folder presets/; `ik tune` writes others.
 """
 
-import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -97,5 +96,14 @@ def write_preset(
 
 
 def _toml(value: Any) -> str:
-    """Write a value of a TOML file, which looks as in JSON."""
-    return json.dumps(value, ensure_ascii=False, default=lambda array: array.tolist())
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
+        return f'"{escaped}"'
+    if isinstance(value, list | tuple):
+        inner = ", ".join(_toml(x) for x in value)
+        return f"[{inner}]"
+    return repr(value)

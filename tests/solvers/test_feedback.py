@@ -80,11 +80,12 @@ def test_preset_files_keep_every_bit(tmp_path):
     rng = np.random.default_rng(0)
     B, starts = rng.normal(size=(4, 6, 3)), rng.uniform(-0.1, 0.1, (4, 6))
     values = {"A": 1e-9 * np.eye(6), "B": B, "C": np.eye(6) / 3, "starts": starts}
-    write_preset(tmp_path / "x.toml", "state-space", values, {"tolerance": 1e-4}, {"source": 'a "b" \\ c'})
+    options = {"tolerance": 1e-4, "slack": (0.1, 0.0, 0.0, np.inf, 0.0, 0.0), "limits": False}
+    write_preset(tmp_path / "x.toml", "state-space", values, options, {"source": 'a "b" \\ c'})
     rule = ik.StateSpace.preset(tmp_path / "x.toml")
     for key, value in values.items():
         assert (np.asarray(getattr(rule, key)) == value).all()
-    assert rule.options() == {"tolerance": 1e-4}
+    assert rule.options() == options | {"slack": [*options["slack"]]}
 
 
 # ---------------------------------------------------------------------------------------------------------- stability
