@@ -78,6 +78,7 @@ _NAMES = {
     "view": "show.scene",
     "interact": "show.interact",
     "plot": "show.plot",
+    "Interrupted": "errors",
     "IKError": "errors",
     "NotSolved": "errors",
 }

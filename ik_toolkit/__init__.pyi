@@ -1,6 +1,7 @@
 """What type checkers see of the public names, which load on first use (a test holds this to `__init__.py`)."""
 
 from .errors import IKError as IKError
+from .errors import Interrupted as Interrupted
 from .errors import NotSolved as NotSolved
 from .motion.reference import Reference as Reference
 from .motion.shapes import circle as circle

@@ -49,9 +49,9 @@ class Portable(BaseException):
 class Interrupted(Portable, KeyboardInterrupt):
     """Base class of the exceptions for Ctrl-C during long work; `result` is the result of the part that was finished before it."""
 
-    def __init__(self, result: Any, done: str) -> None:
-        """Keep the result of the finished part; done: how much was done, for the message."""
-        super().__init__(f"interrupted {done}")
+    def __init__(self, result: Any, done: str | None = None) -> None:
+        """Keep the result of the finished part; done: how much was done, for the message (default: the message of the result)."""
+        super().__init__(f"interrupted: {result.message}" if done is None else f"interrupted {done}")
         self.result = result
 
 

@@ -9,7 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..compile.jit import compile_time
-from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, whole
+from ..errors import Interrupted, InvalidOption, InvalidTarget, check_progress, whole
 from ..kernel.checks import RIGID
 from ..kernel.counted_error import KIND
 from ..motion.reference import Reference
@@ -51,13 +51,8 @@ NOT_HERE = (
 )  # fmt: skip
 
 
-class PathInterrupted(Portable, KeyboardInterrupt):
+class PathInterrupted(Interrupted):
     """Raised at Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
-
-    def __init__(self, result: PathResult) -> None:
-        """Take the result of the interrupted search."""
-        super().__init__(f"interrupted: {result.message}")
-        self.result = result
 
 
 def solve_path(

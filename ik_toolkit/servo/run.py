@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portable
+from ..errors import Interrupted, InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.counted_error import KIND
 from ..motion.reference import Reference
 from ..robot.narrow import with_limits
@@ -44,13 +44,8 @@ MAX_STRETCH = 10.0  # By default a run may take up to this many times the durati
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
 
-class TrackInterrupted(Portable, KeyboardInterrupt):
+class TrackInterrupted(Interrupted):
     """Ctrl-C during a run; `result` is the TrackResult of the steps until then, or of the best run if one had ended."""
-
-    def __init__(self, result: TrackResult) -> None:
-        """Keep the result of the steps taken until Ctrl-C."""
-        super().__init__(f"interrupted: {result.message}")
-        self.result = result
 
 
 def track(

@@ -102,9 +102,10 @@ HELD = {
     ),
     "Reference": (lambda: ik.circle((1.0, 0.5, 0.0), 0.2, normal=(0, 0, 1)), lambda one: one.at(np.linspace(0, 10, 5))),
     "IKError": (lambda: IKError("what is wrong"), str),
+    "Interrupted": (lambda: ik.Interrupted(run()), lambda stop: (str(stop), *facts_of(stop.result))),
     "NotSolved": (unsolved, lambda error: (str(error), *facts_of(error.result))),
     "PathInterrupted": (lambda: ik.PathInterrupted(path()), lambda stop: (str(stop), *facts_of(stop.result))),
-    "BatchInterrupted": (lambda: ik.BatchInterrupted(batch()), lambda stop: (str(stop), stop.result.q)),
+    "BatchInterrupted": (lambda: ik.BatchInterrupted(batch(), "after 2 targets"), lambda stop: (str(stop), stop.result.q)),
     "TrackInterrupted": (lambda: ik.TrackInterrupted(run()), lambda stop: (str(stop), *facts_of(stop.result))),
     "ReachabilityInterrupted": (
         lambda: ik.ReachabilityInterrupted(mapped(), "early"),
@@ -331,7 +332,7 @@ def fail(position):
 
 
 def test_what_is_kept_of_a_batch_says_how_much():
-    stop = pickle.loads(pickle.dumps(ik.BatchInterrupted(batch())))
+    stop = pickle.loads(pickle.dumps(ik.BatchInterrupted(batch(), "after 2 targets")))
     assert str(stop) == "interrupted after 2 targets" and len(stop.result) == 2
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...copying import ReadOnly
-from ...errors import IKError, InvalidOption, Portable
+from ...errors import IKError, Interrupted, InvalidOption
 from ...kernel.records import AT, SIZE
 from ...text import TextTable, how_many, length
 from ..collision_free import collision_model
@@ -16,13 +16,8 @@ from ..result import Result
 from ..status import Status, count_statuses, is_proven
 
 
-class BatchInterrupted(Portable, KeyboardInterrupt):
+class BatchInterrupted(Interrupted):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, starting with the first."""
-
-    def __init__(self, result: "BatchResult") -> None:
-        """Store the results of the finished targets."""
-        super().__init__(f"interrupted after {how_many(len(result), 'target')}")
-        self.result = result
 
 
 class BatchCheckFailed(IKError):

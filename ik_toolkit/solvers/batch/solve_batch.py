@@ -224,7 +224,8 @@ def solve_batch(
     except KeyboardInterrupt:
         if not lost:
             raise
-        raise BatchInterrupted(BatchResult(table[:done], kinds, plan, joined_failures(lost), notice)) from None
+        made = BatchResult(table[:done], kinds, plan, joined_failures(lost), notice)
+        raise BatchInterrupted(made, f"after {how_many(done, 'target')}") from None
     # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
