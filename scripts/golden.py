@@ -3,8 +3,9 @@
 Usage: python scripts/golden.py -o BEFORE.json           before the change
        python scripts/golden.py --against BEFORE.json    after it: names each row that differs, exit code 1
 
-Each row hashes statuses, iterations and the bytes of q of one kind of call on one robot: solves with every solver, batches, all
-solutions, paths and streams of a Tracker. Targets and starts come from fixed seeds. The bytes depend on the processor and on the
+Each row hashes statuses, iterations and q of one kind of call on one robot: solves with every solver and with options that change
+what counts, batches, all solutions, paths and streams of a Tracker. Targets and starts come from fixed seeds. q is rounded to
+1e-9 rad or m, because a kernel that is compiled again may differ by 1e-14. What is left depends on the processor and on the
 versions of numba and numpy: compare on one machine only.
 """
 
@@ -22,8 +23,14 @@ import numpy as np
 import ik_toolkit as ik
 
 ROBOTS = ("planar_2r", "hydrolek_7w", "inspection_7dof", "panda", "ur5", "brokk_hydrolek")
-SOLVERS = ("lm", "dls", "pinv", "transpose", "newton", "ccd", "pid", "state-space", "planar-2r", "inspection")
+SOLVERS = ("lm", "dls", "pinv", "transpose", "newton", "ccd", "pid", "sqp", "state-space", "planar-2r", "inspection")
 METHODS = ("cv", "ca", "av", "aa", "aad")
+WISHES: dict[str, dict[str, Any]] = {  # options that change what counts, by the name of their row
+    "mask": {"mask": [1, 1, 1, 1, 0, 0]},
+    "slack": {"slack": [0.0, 0.0, 0.02, 0.1, 0.1, 0.1]},
+    "free turn": {"free_turn": "z"},
+    "closest": {"closest": True},
+}
 STREAMS = 3  # seeds of a Tracker's targets, for each method
 SAMPLES = 400  # of one stream, 10 ms each
 
@@ -49,7 +56,7 @@ class Row:
     def add(self, q: Any, *words: Any) -> None:
         """Take in one answer; the first word is its status."""
         self.counts[str(words[0])] = self.counts.get(str(words[0]), 0) + 1
-        self.sha.update(repr(words).encode() + np.ascontiguousarray(q, dtype=float).tobytes())
+        self.sha.update(repr(words).encode() + (np.round(np.asarray(q, dtype=float), 9) + 0.0).tobytes())
 
     def value(self) -> str:
         """Hash and counts of statuses."""
@@ -75,6 +82,21 @@ def solves(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
                 continue
             row.add(result.q, result.status.name, result.iterations, result.attempt, result.message)
         yield f"solve {name}", row
+
+
+def wishes(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
+    """Solve poses near home with each group of WISHES that the robot takes."""
+    for name, options in WISHES.items():
+        rng, row = np.random.default_rng(3), Row()
+        for _ in range(count // 4):
+            target = pose_of(robot, np.clip(robot.home + rng.uniform(-0.8, 0.8, robot.n), robot.lower, robot.upper))
+            try:
+                result = ik.solve(robot, target, **options)
+            except ik.IKError as error:
+                row.add([], type(error).__name__)
+                continue
+            row.add(result.q, result.status.name, result.iterations, result.message)
+        yield f"solve, {name}", row
 
 
 def batches(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
@@ -140,7 +162,7 @@ def main() -> None:
     found: dict[str, str] = {}
     for name in given.robots:
         robot = load(name)
-        for part in (solves, batches, motions):
+        for part in (solves, wishes, batches, motions):
             for what, row in part(robot, given.count):
                 found[f"{name}: {what}"] = row.value()
                 print(f"{name:16} {what:18} {row.value()}", flush=True)
