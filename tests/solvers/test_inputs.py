@@ -362,11 +362,6 @@ def test_a_negative_parameter_is_refused(rule):
             call(robot, target, solver, **{name: -3.0})
 
 
-def test_a_misspelled_parameter_of_a_solver_gets_its_near_match():
-    with pytest.raises(InvalidOption, match=r"no option 'dampin'\. Did you mean 'damping'"):
-        ik.solve(load(ARM), (1.0, 0.1, 0.2), "dls", dampin=0.1)
-
-
 def test_an_error_says_whose_pose_is_wrong():
     robot = ik.Robot.load("hydrolek_7w")
     hand = (0.5, 0.1, 0.3, 0.0, 0.0, 0.0, 1.0)

@@ -119,8 +119,8 @@ def test_closest_keeps_a_solved_reference():
     q = robot.random_q(np.random.default_rng(3))
     result = ik.solve(robot, robot.fk(q), closest=q)
     assert np.allclose(result.q, q, atol=1e-6)
-    with pytest.raises(errors.InvalidOption, match="not both"):
-        ik.solve(robot, robot.fk(q), closest=q, q0=q)
+    q = robot.home + 0.05
+    assert np.allclose(ik.solve(robot, robot.fk(q), closest=True).q, q, atol=1e-5)  # closest to home
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "slides_mix"])
@@ -215,9 +215,3 @@ def test_closed_forms_refuse_preferences():
     with pytest.raises(errors.InvalidOption, match="closed form"):
         ik.solve(robot, (1.0, 0.5, 0.0), "planar-2r", closest=[0.1, 0.2])
     assert ik.solve(robot, (1.0, 0.5, 0.0), closest=[0.1, 0.2]).solver == "lm"
-
-
-def test_objective_must_exist():
-    robot = robots.load("hydrolek_7w")
-    with pytest.raises(errors.InvalidOption, match="mid-range"):
-        ik.solve(robot, robot.fk(robot.home), objective="middle")
