@@ -11,6 +11,16 @@ def apart(a, b):
     return np.minimum(d, np.abs(2 * math.pi - d)).max(axis=2)
 
 
+def away(Q, q):
+    """Largest joint difference (...) of Q (..., n) and q (n,), without full turns."""
+    return np.abs((np.asarray(Q) - q + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+
+
+def anywhere(robot, rng):
+    """A pose of six revolute joints at any angles, most likely reached only beyond a limit."""
+    return robot.fk(rng.uniform(-np.pi, np.pi, 6)).homogeneous
+
+
 def urdf(joints, tool):
     """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
     parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"

@@ -205,6 +205,9 @@ def test_every_branch_outside_the_limits_is_limit_blocked(arm):
     assert not arm.outside(result.q)
     assert result.position_error == pytest.approx(arm.errors(result.q, arm.fk(q).homogeneous)[0], abs=1e-12)
     assert ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22), limits=False).success
+    assert (
+        result.q[1] == pytest.approx(0.22, abs=1e-12) and not ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.6)).success
+    )
 
 
 def test_poses_that_need_more_stroke_name_the_lift(arm):
@@ -251,6 +254,8 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
     found = ik.solve_all(arm, arm.fk(arm.home))
     assert not found.complete and len(found) > 5 and "infinitely many" in found.message
     assert len(set(found.q[:, 1].round(6))) > 2 and found.position_error.max() < 1e-9
+    lift = next(family for family in found.families if family.joints[0] == "lift")
+    assert arm.lower[1] <= lift.lower < arm.home[1] < lift.upper <= arm.upper[1]
     few = ik.solve_all(arm, arm.fk(arm.home), ik.Inspection(lift=0.22), count=2, limits=False)
     assert len(few) == 2 and not few.complete
 

@@ -4,20 +4,16 @@ import numpy as np
 import pytest
 import robots
 import serial_arms
+from serial_arms import anywhere
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
 
 
-def outside(robot, rng):
-    """A pose reached only beyond a limit, most likely."""
-    return robot.fk(rng.uniform(-np.pi, np.pi, 6)).homogeneous
-
-
 def mixed(robot, count, seed):
     """Poses (2 count, 4, 4): one half reached within the limits, the other mostly not."""
     rng = np.random.default_rng(seed)
-    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [outside(robot, rng) for _ in range(count)]])
+    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [anywhere(robot, rng) for _ in range(count)]])
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])

@@ -183,29 +183,3 @@ def test_all_solutions():
     assert len(some) == 1 and some.message.startswith("1 of 2 branches")
     free = ik.solve_all(robot, robot.fk([0.45, 0.45]).translation, limits=False)
     assert len(free) == 2 and free.message.startswith("2 branches") and "inside the limits" not in free.message
-
-
-@pytest.mark.parametrize(
-    ("limits", "free"),
-    [
-        ((-5.0, 5.0), (-np.pi, np.pi)),
-        ((-1.0, 2.0), (-1.0, 2.0)),
-        ((7.0, 9.0), (7.0, 9.0)),
-        ((4.0, 12.0), (8.0 - np.pi, 8.0 + np.pi)),
-    ],
-)
-def test_the_range_of_a_free_joint(limits, free):
-    """Two equal links folded onto the base: the first may have any angle within one turn, the one about home if several fit."""
-    robot = ik.Robot.load(
-        robots.urdf(
-            dict(kind="revolute", xyz="0 0 0", limits=limits),
-            dict(kind="revolute", xyz="1 0 0", limits=(-3.5, 3.5)),
-            dict(kind="fixed", xyz="1 0 0"),
-        )
-    )
-    found = ik.solve_all(robot, (0.0, 0.0, 0.0), "planar-2r")
-    (family,) = found.families
-    assert (family.lower, family.upper) == pytest.approx(free) and not found.complete and family.joints == ("j0",)
-    step = (free[1] - free[0]) / (len(found) - 1)  # of two ends that are a turn apart one is listed
-    assert found.q[:, 0].min() < free[0] + 1.1 * step and found.q[:, 0].max() > free[1] - 1.1 * step
-    assert f"j0 is free from {free[0]:.6g} to {free[1]:.6g} rad" in found.message
