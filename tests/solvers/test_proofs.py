@@ -185,12 +185,7 @@ def test_a_pose_that_only_another_weighing_of_the_errors_meets_is_not_proven_unr
     ]
     assert not ik.solve(robot, T).proven
     q0 = [
-        4.533595416152678,
-        -3.297650369726543,
-        2.5729325800096166,
-        -0.5241857200729447,
-        -3.687207504761397,
-        -1.053630017,
-    ]
+        4.533595416152678, -3.297650369726543, 2.5729325800096166, -0.5241857200729447, -3.687207504761397, -1.053630017,
+    ]  # fmt: skip
     found = ik.solve(robot, T, "lm", q0=q0, restarts=1)  # its last descent ends at the pose that meets both
     assert found.success and max(robot.errors(found.q, T)) < 1e-6

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pinocchio as pin
 import pytest
+import robots
 from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
@@ -100,13 +101,11 @@ def test_a_shared_joint_is_moved_by_either_target(brokk):
 
 
 def test_without_limits_a_slide_has_no_reach_bound():
-    links = "".join(f'<link name="{name}"/>' for name in ("base", "left", "right"))
     slides = "".join(
-        f'<joint name="{tip}_slide" type="prismatic"><parent link="base"/><child link="{tip}"/><axis xyz="{axis}"/>'
-        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        robots.joint(f"{tip}_slide", "prismatic", "base", tip, axis, xyz="0 0 0", limits=(0, 1))
         for tip, axis in (("left", "1 0 0"), ("right", "0 1 0"))
     )
-    tree = ik.Tree.load(f'<robot name="gantry">{links}{slides}</robot>', tips=["left", "right"])
+    tree = ik.Tree.load(f'<robot name="gantry"><link name="base"/>{slides}</robot>', tips=["left", "right"])
     targets = [(3.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
     assert ik.solve(tree, targets).status == ik.Status.UNREACHABLE
     result = ik.solve(tree, targets, limits=False)
