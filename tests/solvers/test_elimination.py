@@ -202,11 +202,9 @@ def test_solutions_keep_the_limits_nearest_first_and_say_what_was_accounted_for(
         assert pickle.loads(pickle.dumps(found)).certificate == said == found.keep(slice(0, 1)).certificate
 
 
-def test_too_few_rows_and_what_is_left_out_are_not_complete():
+def test_what_is_left_out_has_no_certificate():
     robot = robots.load("hydrolek_7w")
     T = robot.fk(robots.sample(robot, 1, seed=16)[0][0])
-    assert ik.solve_all(robot, T, limits=False).complete
-    assert not ik.solve_all(robot, T, limits=False, count=1).complete
     assert ik.solve_all(robot, T.homogeneous[:3, 3]).certificate is None  # a position leaves infinitely many
     assert ik.solve_all(robot, T, mask=(1, 1, 1, 1, 1, 0)).certificate is None
 

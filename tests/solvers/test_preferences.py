@@ -8,7 +8,6 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit import errors
 
 
 def manipulability(robot, q):
@@ -208,10 +207,3 @@ def test_joint_weights_share_the_motion():
     heavy = ik.solve(robot, target, "lm", q0=q, restarts=0, joint_weights=(1, 1e-6, 1, 1, 1, 1, 1))
     assert heavy.success and free.success
     assert abs(heavy.q[1] - q[1]) < 0.01 * abs(free.q[1] - q[1]) + 1e-9
-
-
-def test_closed_forms_refuse_preferences():
-    robot = robots.load("planar_2r")
-    with pytest.raises(errors.InvalidOption, match="closed form"):
-        ik.solve(robot, (1.0, 0.5, 0.0), "planar-2r", closest=[0.1, 0.2])
-    assert ik.solve(robot, (1.0, 0.5, 0.0), closest=[0.1, 0.2]).solver == "lm"

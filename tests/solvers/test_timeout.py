@@ -11,6 +11,9 @@ from ik_toolkit.errors import InvalidOption
 from ik_toolkit.solvers import postprocess
 
 LONG = 600.0  # s: never used up
+each = pytest.mark.parametrize(
+    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
+)
 
 
 def targets(robot, number):
@@ -26,9 +29,7 @@ def same(one, other):
     return one.status == other.status and np.array_equal(one.q, other.q) and one.fk_evaluations == other.fk_evaluations
 
 
-@pytest.mark.parametrize(
-    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
-)
+@each
 def test_a_long_timeout_changes_nothing(name, solver):
     robot = robots.load(name)
     plain, timed = ik.Solver(robot, solver), ik.Solver(robot, solver, timeout=LONG)
@@ -38,9 +39,7 @@ def test_a_long_timeout_changes_nothing(name, solver):
         assert same(timed(T), answer)
 
 
-@pytest.mark.parametrize(
-    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
-)
+@each
 def test_a_limit_of_evaluations_repeats_what_a_timeout_found(name, solver, monkeypatch):
     robot = robots.load(name)
     ticks = itertools.count(0.0, 1e-3)  # each look at the clock is a millisecond after the last

@@ -182,7 +182,12 @@ def test_closest_follow_batch_and_all_take_them(arm):
 def test_closed_forms_refuse_and_auto_searches():
     robot = ik.Robot.load("inspection_7dof")
     T = robot.fk(robot.home).homogeneous
-    for options in ({"slack": [0.1] * 6}, {"free_turn": [0, 0, 1]}, {"mask": [1, 1, 1, 1, 1, 0]}):
+    for options in (
+        {"slack": [0.1] * 6},
+        {"free_turn": [0, 0, 1]},
+        {"mask": [1, 1, 1, 1, 1, 0]},
+        {"closest": robot.home},
+    ):
         with pytest.raises(errors.InvalidOption, match="closed form"):
             ik.solve(robot, T, "inspection", **options)
         assert ik.solve(robot, T, **options).solver == "lm"
