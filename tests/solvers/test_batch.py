@@ -129,8 +129,6 @@ def test_mistakes_are_named_with_their_row():
     with pytest.raises(InvalidConfiguration, match="target 2400"):
         ik.solve_batch(robot, T, q0=q0)
     q0[2400] = robot.upper + 1.0
-    with pytest.raises(InvalidConfiguration, match=f"target 2400 .*{robot.joint_names[0]}"):
-        ik.solve_batch(robot, T, q0=q0, q0_outside="refuse")
     assert ik.solve_batch(robot, T[:1], q0=q0[2400:2401]).success.all()  # clamped otherwise
     with pytest.raises(InvalidConfiguration, match="shape"):
         ik.solve_batch(robot, T, q0=q0[:5])
@@ -339,32 +337,26 @@ def test_an_iterator_is_not_read_far_ahead():
 
 
 # ------------------------------------------------------------------------------------------------------------- executors
-class Recording(concurrent.futures.Executor):
-    """Runs at once, and counts."""
+class Counting(concurrent.futures.ThreadPoolExecutor):
+    """A pool that counts what it is given."""
 
-    def __init__(self):
-        self.count = 0
+    count = 0
 
-    def submit(self, function, /, *arguments, **keywords):
+    def submit(self, *given, **named):
         self.count += 1
-        future = concurrent.futures.Future()
-        try:
-            future.set_result(function(*arguments, **keywords))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+        return super().submit(*given, **named)
 
 
 def test_an_executor_gives_the_same_bytes_and_the_same_errors():
     robot = load("mimic_mix")
     T = poses(robot, 9000)
-    executor = Recording()
-    far = ik.solve_batch(robot, T, "lm", executor=executor, seed=3)
-    assert executor.count == 3
-    assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=3).table.tobytes()
-    T[8000, 0, 3] = np.inf
-    with pytest.raises(InvalidTarget, match="target 8000"):
-        ik.solve_batch(robot, T, "lm", executor=executor)
+    with Counting(1) as pool:
+        far = ik.solve_batch(robot, T, "lm", executor=pool, seed=3)
+        assert pool.count == 3
+        assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=3).table.tobytes()
+        T[8000, 0, 3] = np.inf
+        with pytest.raises(InvalidTarget, match="target 8000"):
+            ik.solve_batch(robot, T, "lm", executor=pool)
 
 
 def test_processes_give_the_same_bytes():

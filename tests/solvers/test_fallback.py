@@ -6,11 +6,6 @@ import pytest
 import ik_toolkit as ik
 from ik_toolkit.text import angle, length
 
-LEVEL = ik.pose(
-    (-0.5012387278535977, 0.012334031550242807, 0.7275000000000001),
-    quat_xyzw=(-0.2418447626479752, 0.6644630243886744, 0.6963642403200189, 0.12278780396897282),
-)
-
 
 @pytest.fixture(scope="module")
 def arm():
@@ -30,11 +25,6 @@ def size(robot, result):
     """Error of a result as the search measures it."""
     turn = 2 * np.sin(0.5 * (result.orientation_error or 0.0))
     return (result.position_error / robot.chain.scale) ** 2 + turn**2
-
-
-def test_the_level_arm_of_the_report_is_solved(arm):
-    result = ik.solve(arm, LEVEL)
-    assert result.success and not arm.outside(result.q)
 
 
 @pytest.mark.parametrize("lift", [None, 0.31])

@@ -73,14 +73,6 @@ def test_no_answer_is_outside_and_each_is_taken_as_a_start(name):
             assert robot.outside(one.q) == [] and not solver(target, one.q).notice
 
 
-@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
-def test_the_limits_of_a_real_arm_are_kept_to_the_last_digit():
-    robot = ik.Robot.load("ur5_limited", tip="tool0")
-    T = robot.chain.forward(at_limits(robot, 4000, np.random.default_rng(5)))[0]
-    many = ik.solve_batch(robot, T, "lm", check=0.0)
-    assert ((robot.lower <= many.q) & (many.q <= robot.upper)).all() and many.success.mean() > 0.99
-
-
 def test_every_branch_listed_is_inside():
     robot = arm(URDF_PI, seed=3)
     for q in at_limits(robot, 6, np.random.default_rng(2)):

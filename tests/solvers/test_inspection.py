@@ -148,15 +148,6 @@ def test_four_thousand_near_singular_configurations(arm, every):
     assert worst < 1e-10  # 4e-9 where the reach is not kept inside what the elbow spans
 
 
-def test_flips_are_exact_symmetries(arm, every):
-    """The shoulder and the whole-arm flip of the study of branches map the set onto itself."""
-    q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
-    found = every(arm.chain.forward(q)[0][0], 0.22)
-    flip = np.array([q[0] + PI, q[1], -q[2], q[3] + PI, *q[4:]])
-    other = np.array([q[0], q[1], q[2] + PI, PI - q[3], PI - q[4], q[5] + PI, q[6]])
-    assert apart([flip, other], found).min(axis=1).max() < 1e-12
-
-
 # -------------------------------------------------------------------------------------- inspection: the public solver
 def test_lift_choices(arm):
     q = arm.home + 0.05

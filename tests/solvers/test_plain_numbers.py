@@ -94,16 +94,6 @@ def test_of_batches():
         assert np.array_equal(told[f"{tip}.orientation_error"], both.orientation_errors[tip])
 
 
-def test_of_batches_of_solutions():
-    robot = robots.load("planar_2r")
-    points = np.array([robot.fk([0.3, 0.9]).translation, (9.0, 0.0, 0.0), robot.fk([-0.4, 1.2]).translation])
-    many = ik.solve_all(robot, points)
-    assert len(many) == 3 and many.target.tolist() == [0, 0, 2, 2] and many.complete.tolist() == [True] * 3
-    for name in ("q", "distance", "position_error", "branches"):
-        assert np.array_equal(getattr(many, name), np.concatenate([getattr(many[k], name) for k in range(3)])), name
-    assert many.orientation_error is None
-
-
 def test_of_explanations():
     pytest.importorskip("sympy", reason="the extra 'explain' is not installed")
     robot = robots.load("planar_2r")

@@ -227,14 +227,3 @@ def test_limits_of_zero_width():
         q = robot.random_q(rng)
         result = ik.solve(robot, robot.fk(q).translation)
         assert result.success and result.q[1] == 0.3 and result.q[3] == 0.1
-
-
-@pytest.mark.parametrize("side", ["lower", "upper"])
-def test_starts_exactly_at_limits(side):
-    for name in ("hydrolek_7w", "inspection_7dof", "slides_mix"):
-        robot = robots.load(name)
-        corner = getattr(robot, side)
-        _, T = robots.sample(robot, 20, seed=2)
-        for target in T:
-            result = ik.solve(robot, target, "lm", q0=corner)
-            assert result.success and "clamped" not in result.notice

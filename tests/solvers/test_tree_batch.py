@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pinocchio as pin
 import pytest
-import robots
 import trees
 
 import ik_toolkit as ik
@@ -128,17 +127,6 @@ def test_the_kind_of_the_targets_may_not_change(tree):
     T = reachable(tree, 4)
     with pytest.raises(InvalidTarget, match="either poses or positions"):
         ik.solve_batch(tree, iter([T, T[:, :, :3, 3]]))
-
-
-def test_robots_of_the_library():
-    for name, tips in (
-        ("baxter", ["left_gripper", "right_gripper"]),
-        ("tiago_dual", ["arm_left_tool_link", "arm_right_tool_link"]),
-    ):
-        robots.have_data() or pytest.skip("example-robot-data is not installed")
-        tree = ik.Tree.load(name, tips=tips)
-        many = ik.solve_batch(tree, reachable(tree, 200, seed=7), check=0.2)
-        assert many.success.mean() > 0.99
 
 
 def test_raw_errors_are_what_is_left_before_anything_is_left_out(tree):

@@ -193,11 +193,6 @@ def test_closed_forms_refuse_and_auto_searches():
         assert ik.solve(robot, T, **options).solver == "lm"
 
 
-def test_a_position_leaves_rotations_free(arm):
-    result = ik.solve(arm, [0.4, 0.0, 0.4], slack=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    assert result.success and result.orientation_error is None
-
-
 # ------------------------------------------------------------------------------------------------------------ several tips
 def test_a_position_in_the_frame_of_the_target_has_raw_errors_in_the_base(arm, brokk):
     """`frame='target'` may be meant for the pose of the other tip; a position is then measured along the base's axes."""
