@@ -173,6 +173,14 @@ def test_masks_count_only_what_they_name(mask, frame):
     assert free >= 8
 
 
+def test_weights_of_a_mask_scale_the_error():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home + 0.1).homogeneous
+    loose = ik.solve(robot, T, "lm", mask=(1e-3, 1e-3, 1e-3, 0, 0, 0), q0=robot.home, tolerance=1e-5)
+    assert loose.success
+    assert 1e-5 < np.linalg.norm(robot.fk(loose.q).translation - T[:3, 3]) <= 1.01e-2
+
+
 def test_joint_weights_share_the_motion():
     robot = robots.load("inspection_7dof")
     q = robot.home.copy()
