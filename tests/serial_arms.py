@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+import ik_toolkit as ik
+
 
 def apart(a, b):
     """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
@@ -37,3 +39,8 @@ def urdf(joints, tool):
         f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
     )
     return "".join(parts)
+
+
+def drawn(joints, xyz, rpy=(0, 0, 0)):
+    """The robot of `urdf`; its tool is at xyz [m] and rpy [rad] from the last joint."""
+    return ik.Robot.load(urdf(joints, (xyz, rpy)), tip="tip")

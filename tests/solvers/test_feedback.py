@@ -167,9 +167,8 @@ def test_each_start_selects_its_map_and_q0_selects_the_nearest():
 def test_restarts_take_the_next_starts():
     robot = robots.load("hydrolek_7w")
     targets = [tips(robot, 500, 9)]
-    rule = ik.StateSpace(
-        D=0.9 * inverse_maps(robot, spread_starts(robot, True, 16), True), starts=spread_starts(robot, True, 16)
-    )
+    starts = spread_starts(robot, True, 16)
+    rule = ik.StateSpace(D=0.9 * inverse_maps(robot, starts, True), starts=starts)
     one, many = (score(robot, rule, targets, restarts=k, **ONE) for k in (0, 7))
     assert many.share > one.share
 

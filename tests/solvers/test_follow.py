@@ -138,9 +138,7 @@ def test_a_joint_that_goes_to_its_other_end_is_said():
     robot = ik.Robot.load(robots.urdf(*(dict(kind="revolute", limits=(-3.5, 3.5), xyz="0.5 0 0") for _ in range(3))))
     q0, solver = np.array([3.49, 0.4, 0.3]), ik.Solver(robot, "lm")
     over = robot.fk([3.49, 0.4, 0.3]).homogeneous
-    turn = pin.SE3(
-        pin.exp3(np.array([0.0, 0.0, 0.03])), np.zeros(3)
-    ).homogeneous  # about the first joint's axis, past its limit
+    turn = turned(np.eye(4), 0.03)  # about the first joint's axis, past its limit
     turn[:3, 3] = np.array([0.5, 0, 0]) - turn[:3, :3] @ np.array([0.5, 0, 0])
     jumped, stayed = solver(turn @ over, q0=q0), solver(over, q0=q0)
     assert jumped.success and abs(jumped.q[0] - q0[0]) > np.pi and jumped.attempt == 0

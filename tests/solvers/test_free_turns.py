@@ -40,9 +40,8 @@ def test_every_solution_is_listed_within_limits_and_certified(joints, make, turn
         target, options = make(robot.fk(q).homogeneous)
         found = ik.solve_all(robot, target, q0=q, **options)
         assert np.abs(found.q - q).max(axis=1).min() < 1e-4
-        assert (
-            (found.q >= robot.lower).all() and (found.q <= robot.upper).all() and (np.diff(found.distance) >= 0.0).all()
-        )
+        assert (found.q >= robot.lower).all() and (found.q <= robot.upper).all()
+        assert (np.diff(found.distance) >= 0.0).all()
         assert (found.position_error < 1e-6).all() and found.complete == (found.solver == "elimination")
         complete += found.complete
         if found.complete:

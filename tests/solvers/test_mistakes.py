@@ -198,10 +198,8 @@ def test_what_a_tip_is_relative_to_is_a_name(brokk):
 
 def test_a_tip_without_a_target_is_relative_to_nothing(brokk):
     first, second = brokk.tips
-    only, poses = (
-        {first: brokk.fk(brokk.home)[first].homogeneous},
-        {first: brokk.fk(brokk.home)[first].homogeneous[None]},
-    )
+    pose = brokk.fk(brokk.home)[first].homogeneous
+    only, poses = {first: pose}, {first: pose[None]}
     for call in (
         lambda: ik.solve(brokk, only, relative_to={second: first}),
         lambda: ik.solve_batch(brokk, poses, relative_to={second: first}),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import robots
 from folders import read_data
-from serial_arms import apart, urdf
+from serial_arms import apart, drawn
 
 import ik_toolkit as ik
 from ik_toolkit.solvers.closed_form import reach
@@ -34,11 +34,8 @@ def test_planar_reference(case):
 def test_planar_reach_limits_and_plane():
     robot = ik.Robot.load("planar_2r")
     out = ik.solve(robot, [3.0, 0.0, 0.0])
-    assert (
-        out.status == ik.Status.UNREACHABLE
-        and "by about 1 m;" in out.message
-        and out.position_error == pytest.approx(1.0)
-    )
+    assert out.status == ik.Status.UNREACHABLE and "by about 1 m;" in out.message
+    assert out.position_error == pytest.approx(1.0)
     off = ik.solve(robot, [1.0, 0.5, 0.25])
     assert off.status == ik.Status.UNREACHABLE and off.position_error == pytest.approx(0.25)
     blocked = ik.solve(robot, [0.2, 0.1, 0.0])  # folds further than 150 degrees
@@ -52,16 +49,11 @@ def test_planar_reach_limits_and_plane():
 
 
 def test_legal_turn_nearest_the_reference():
-    robot = ik.Robot.load(
-        urdf(
-            [
-                ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -10.0, 10.0),
-                ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), 3.5, 6.0),
-            ],
-            ((0.7, 0, 0), (0, 0, 0)),
-        ),
-        tip="tip",
-    )
+    joints = [
+        ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -10.0, 10.0),
+        ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), 3.5, 6.0),
+    ]
+    robot = drawn(joints, (0.7, 0, 0))
     q = np.array([7.0, 4.0])
     result = ik.solve(robot, robot.fk(q).translation, q0=[8.0, 5.0])
     assert result.success and np.abs(result.q - q).max() < 1e-9

@@ -3,9 +3,9 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-import serial_arms
 from constrained import many
 from robots import few_joints, have_data
+from serial_arms import drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -176,7 +176,7 @@ def nearly_along(robot):
 
 def test_a_direction_with_a_priority_lists_minima_too():
     joints = [("revolute", (0.0, 0.0, 0.3), (0, 0, 0), axis, -2.5, 2.5) for axis in np.eye(3)[[2, 1, 1, 0, 1]]]
-    robot = ik.Robot.load(serial_arms.urdf(joints, ((0.1, 0.05, 0.2), (0.3, 0.0, 0.0))), tip="tip")
+    robot = drawn(joints, (0.1, 0.05, 0.2), (0.3, 0.0, 0.0))
     target = ik.pose(xyz=robot.fk(np.full(5, 1.0)).translation, direction=(0.2, 1.0, 0.3))
     for first in ("position", "orientation"):
         found = ik.solve_all(robot, target, priority=first, starts=50)
@@ -289,10 +289,7 @@ def test_a_pose_in_reach_is_reached_or_another_minimum_is_found():
         ("revolute", (0, 0, 0.077), (0, 0, 0), yaw, -3.1, 3.1), ("revolute", (0, 0, 0), (0, 0, 0), pitch, -1.9, 1.5),
         ("revolute", (0.024, 0, 0.128), (0, 0, 0), pitch, -1.9, 1.5), ("revolute", (0.124, 0, 0), (0, 0, 0), pitch, -1.7, 2.0),
     ]  # fmt: skip
-    robot, rng = (
-        ik.Robot.load(serial_arms.urdf(joints, ((0.126, 0, 0), (0, 0, 0))), tip="tip"),
-        np.random.default_rng(16),
-    )
+    robot, rng = drawn(joints, (0.126, 0, 0)), np.random.default_rng(16)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(300)])
     done = ik.solve_batch(robot, T, priority="position")
     near = done.orientation_error < 1e-3

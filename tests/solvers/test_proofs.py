@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import robots
-import serial_arms
-from serial_arms import anywhere
+from serial_arms import anywhere, drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -98,7 +97,7 @@ def test_a_solution_on_a_limit_where_two_merge_is_listed(end, all_turns):
              ((0, 0.1, 0), (0, 0, 1)), ((0, 0, 0.1), (0, 1, 0))]
         )
     ]  # fmt: skip
-    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 0.1, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(joints, (0, 0.1, 0))
     rng, complete = np.random.default_rng(30), 0
     for _ in range(60):
         q = robot.random_q(rng)
@@ -125,7 +124,7 @@ def test_an_answer_that_pinocchio_does_not_confirm_proves_nothing():
     joints = [
         ("revolute", (4e4, 0, 3e4), (turn, 0, 0), (0, 0, 1), -2.9, 2.9) for turn in (0, 1.5, 0.4, -1.3, 1.5, -1.2)
     ]
-    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 1e4, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(joints, (0, 1e4, 0))
     results = [ik.solve(robot, robot.fk(q), tolerance=1e-11) for q in robot.random_q(np.random.default_rng(34), 40)]
     failed = [result for result in results if result.status == ik.Status.CHECK_FAILED]
     assert failed and not any(result.proven for result in results if not result.success)

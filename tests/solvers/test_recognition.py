@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from serial_arms import apart, urdf
+from serial_arms import apart, drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import UnknownSolver
@@ -44,9 +44,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
             0.0,
         ),
     ]
-    robot = ik.Robot.load(
-        urdf(joints, ((l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))), tip="tip"
-    )
+    robot = drawn(joints, (l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))
     assert fits(robot, KIND.position) == "planar-2r" and fits(robot, KIND.pose) is None
     q = np.array([q1, q2])
     tip = robot.fk(q).translation
@@ -86,7 +84,7 @@ def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, s
     for (where, turned), sign in zip(fixed, signs[2:], strict=True):
         joints.append(("continuous", where, turned, (0, 0, sign), -1.0, 1.0))
     # Flip axes 5 and 7 as whole frames too, and turn the tool anyhow.
-    robot = ik.Robot.load(urdf(joints, (tool, tool_rpy)), tip="tip")
+    robot = drawn(joints, tool, tool_rpy)
     assert fits(robot, KIND.pose) == "inspection", inspection.recognise(robot.chain)[1]
     q = np.array(twist)
     place = 0 if lift_first else 1
@@ -99,20 +97,17 @@ def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, s
 def test_what_does_not_fit_is_said_in_words():
     panda_like = [("revolute", (0, 0, 0.1), (0, 0.7, 0), (0, 0, 1), -1.0, 1.0)] * 7
     wrong = {
-        "joints on the path": urdf(panda_like[:3], ((0.1, 0, 0), (0, 0, 0))),
-        "prismatic": urdf(
-            [panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], ((0.1, 0, 0), (0, 0, 0))
-        ),
-        "not parallel": urdf(panda_like[:2], ((0.1, 0, 0), (0, 0, 0))),
-        "coincide": urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0.1, 0, 0), (0, 0, 0))),
-        "tip lies on": urdf([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0, 0, 0.3), (0, 0, 0))),
+        "joints on the path": drawn(panda_like[:3], (0.1, 0, 0)),
+        "prismatic": drawn([panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], (0.1, 0, 0)),
+        "not parallel": drawn(panda_like[:2], (0.1, 0, 0)),
+        "coincide": drawn([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, (0.1, 0, 0)),
+        "tip lies on": drawn([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, (0, 0, 0.3)),
     }
-    for words, text in wrong.items():
-        robot = ik.Robot.load(text, tip="tip")
+    for words, robot in wrong.items():
         assert fits(robot, KIND.position) is None
         with pytest.raises(UnknownSolver, match=words):
             ik.solve(robot, [0.1, 0.0, 0.0], "planar-2r")
-    robot = ik.Robot.load(urdf(panda_like, ((0.1, 0, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(panda_like, (0.1, 0, 0))
     with pytest.raises(UnknownSolver, match="lift"):
         ik.solve(robot, robot.fk(robot.home), "inspection")
     assert ik.solve(robot, robot.fk(robot.home)).solver == "lm"
@@ -121,17 +116,13 @@ def test_what_does_not_fit_is_said_in_words():
 def bent(angle):
     """A planar arm whose second axis is off parallel by an angle [rad]."""
     joint = ("revolute", (1, 0, 0), (angle, 0, 0), (0, 0, 1), -2.5, 2.5)
-    text = urdf([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -2.5, 2.5), joint], ((0.8, 0, 0), (0, 0, 0)))
-    return ik.Robot.load(text, tip="tip")
+    return drawn([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -2.5, 2.5), joint], (0.8, 0, 0))
 
 
 def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
     robot = bent(3e-5)
-    assert (
-        fits(robot, KIND.position) == "planar-2r"
-        and "3e-05" in describe_fit(robot)
-        and "exactly" in describe_fit(bent(0.0))
-    )
+    assert fits(robot, KIND.position) == "planar-2r"
+    assert "3e-05" in describe_fit(robot) and "exactly" in describe_fit(bent(0.0))
     rng = np.random.default_rng(3)
     for _ in range(50):
         q = robot.random_q(rng)
@@ -187,7 +178,7 @@ STRUCTURE = [  # column, shoulder, elbow and wrist of an arm without a lift, at 
 def test_each_part_of_the_inspection_structure_is_required(joint, moved, turned, words):
     def recognised(places):
         joints = [("continuous", where, angles, (0, 0, 1), -1.0, 1.0) for where, angles in places]
-        return inspection.recognise(ik.Robot.load(urdf(joints, ((0.1, 0, 0.2), (0, 0, 0.3))), tip="tip").chain)[1]
+        return inspection.recognise(drawn(joints, (0.1, 0, 0.2), (0, 0, 0.3)).chain)[1]
 
     assert recognised(STRUCTURE) == ""
     assert words in recognised([*STRUCTURE[:joint], (moved, turned), *STRUCTURE[joint + 1 :]])

@@ -122,11 +122,8 @@ def test_a_shoulder_on_the_sixth_or_seventh_axis_is_a_family():
 
 @pytest.mark.parametrize("limits", [(-6.0, 2.0), (-2.0, 6.0), (-6.2, -0.1)])
 def test_each_joint_is_on_the_turn_that_its_limits_allow(limits):
-    robot = ik.Robot.load(
-        robots.urdf(
-            *[dict(kind="revolute", limits=limits, xyz="0.5 0 0") for _ in range(2)], dict(kind="fixed", xyz="0.4 0 0")
-        )
-    )
+    joints = [dict(kind="revolute", limits=limits, xyz="0.5 0 0")] * 2
+    robot = ik.Robot.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.4 0 0")))
     rng = np.random.default_rng(5)
     for q in robot.random_q(rng, 20):
         T = robot.fk(q).translation

@@ -109,10 +109,8 @@ def test_the_answer_stops_at_the_edge_of_the_slack(arm):
 def test_infinite_slack_and_half_a_turn_free_what_a_mask_frees(arm):
     rng = np.random.default_rng(8)
     for frame in AXES:
-        T = (
-            arm.fk(arm.random_q(rng)).homogeneous
-            @ pin.SE3(pin.exp3(np.array([0.3, 0.2, 2.9])), np.array([0.1, 0.0, 9.0])).homogeneous
-        )
+        far = pin.SE3(pin.exp3(np.array([0.3, 0.2, 2.9])), np.array([0.1, 0.0, 9.0]))
+        T = (arm.fk(arm.random_q(rng)) * far).homogeneous
         freed = {"slack": [0, 0, np.inf, 0, 0, np.pi], "frame": frame}
         if frame == "base":
             T[2, 3] = 50.0
