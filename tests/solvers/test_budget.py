@@ -42,7 +42,6 @@ def test_attempts_that_are_all_cut_off_are_called_that():
         assert cut.status == ik.Status.ITERATION_LIMIT and "after 250 starts, each cut off" in cut.message
         assert "try more iterations" in cut.message and "unreachable" not in cut.message
         assert ik.solve_batch(robot, [target], max_iterations=steps).status[0] == ik.Status.ITERATION_LIMIT
-    assert "after 1 iteration;" in ik.solve(robot, target, max_iterations=1, restarts=0).message
     assert ik.solve(robot, target).success
     away = target.homogeneous
     # in reach of the links, not of the joints: what the search itself gives up is STALLED

@@ -16,11 +16,6 @@ from ik_toolkit.solvers.closed_form import describe_fit, fits, inspection, plana
 PI = math.pi
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return ik.Robot.load("inspection_7dof")
-
-
 angle = st.floats(-3.1, 3.1)
 length = st.floats(0.05, 2.0)
 offset = st.floats(-1.0, 1.0)
@@ -136,7 +131,8 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
         ik.solve(bent(1e-3), [1.0, 0.5, 0.0], "planar-2r")
 
 
-def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
+def test_an_inspection_arm_written_with_few_digits_is_solved():
+    arm = ik.Robot.load("inspection_7dof")
     text = arm.urdf.replace("1.5707963267948966", "1.5708")
     robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
     assert fits(robot, KIND.pose) == "inspection" and "approximately" in describe_fit(robot)
