@@ -116,7 +116,8 @@ def test_closest_and_a_start(arm):
         ik.solve(arm, arm.fk(q), closest=q, q0=q)
     with pytest.raises(InvalidConfiguration, match=f"^closest must have {arm.n} values"):
         ik.solve(arm, arm.fk(q), closest=q[:-1])
-    with pytest.raises(InvalidOption, match=r"True or False here \(q0 is what the solution is nearest to\)"):
+    said = r"closest must be True or False here \(q0 is what the solution is nearest to\)"
+    with pytest.raises(InvalidOption, match=said):
         ik.Solver(arm, "lm", closest=q)
 
 
