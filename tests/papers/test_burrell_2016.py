@@ -7,7 +7,6 @@ from folders import read_data
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
-from ik_toolkit.papers import PAPERS
 from ik_toolkit.papers.burrell_2016 import paper
 
 DATA = read_data("burrell")
@@ -148,14 +147,6 @@ def test_jacobian_methods_stand_still_on_the_straight_arm():
         assert moved.success or solver == "pinv"  # its first steps are huge, into the limits
 
 
-def test_published_goal_is_out_of_reach():
-    robot = robots.load("hydrolek_7w")
-    for unit in (1e-2, 1e-3):
-        goal = paper.TO_PAPER.T @ (np.array([-10.0, 50, -20]) * unit)
-        result = ik.solve(robot, goal)
-        assert not result.success and result.position_error > 0.5
-
-
 @pytest.mark.slow
 def test_the_report(tmp_path):
     report = paper.reproduce(seeds=1)
@@ -192,7 +183,3 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, ca
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         assert main(["reproduce", "burrell", "-o", str(folder)]) == 2
         assert str(tmp_path / "file") in capsys.readouterr().err
-
-
-def test_paper_is_listed():
-    assert PAPERS["burrell"].target == "ik_toolkit.papers.burrell_2016.paper:reproduce"

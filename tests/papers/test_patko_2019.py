@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from folders import read_data
 
-from ik_toolkit.papers.patko_2019 import cases, paper
+from ik_toolkit.papers.patko_2019 import cases, dynamics, paper
 from ik_toolkit.servo import stability as st
 from ik_toolkit.servo.methods import simulate
 from ik_toolkit.show.plots import drawing
@@ -105,6 +105,15 @@ def test_leading_errors():
         assert made.error[i + 1] == pytest.approx(-0.5 * h * h * bend, rel=0.05)  # e = target - actual
 
 
+def linearised(after, start, key):
+    """Derivative, by differences, of a state (angles, rates, last command) by what of the state before a method looks at."""
+    n = len(start) // 3
+    parts = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))
+    columns = [i + n * part for part in parts for i in range(n)]
+    moves = 1e-6 * np.eye(3 * n)[columns]
+    return np.array([(after(start + d) - after(start - d))[columns] / 2e-6 for d in moves]).T
+
+
 def test_mapping_matrices_are_the_linearised_steps():
     """Finite differences of the RR steps about a resting point have the eigenvalues of eqs (30)-(42)."""
     case, gains = cases.CASES["RR"], cases.SETS["RR good"]
@@ -115,29 +124,16 @@ def test_mapping_matrices_are_the_linearised_steps():
     def rest(t):
         return target, np.zeros(n), np.zeros(n)
 
-    for key, parts in (
-        ("cv", (0, 2)),
-        ("av", (0,)),
-        ("ca", (0, 1, 2)),
-        ("aa1", (0, 1)),
-        ("aa2", (0, 1)),
-        ("aa3", (0, 1)),
-        ("aad", (0, 1)),
-    ):
+    for key in ("cv", "av", "ca", "aa1", "aa2", "aa3", "aad"):
         name, options = cases.METHODS[key]
         options = options | {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}.get(key, {})
-        columns = [i + n * part for part in parts for i in range(n)]
-        A = np.zeros((len(columns), len(columns)))
-        for j, column in enumerate(columns):
-            after = []
-            for sign in (1.0, -1.0):
-                state = np.concatenate([q0, np.zeros(2 * n)])
-                state[column] += sign * 1e-6
-                made = simulate(
-                    case.system, rest, name, h, 1, state[:n], rate0=state[n : 2 * n], command0=state[2 * n :], **options
-                )
-                after.append(np.concatenate([made.q[-1], made.rate[-1], made.command])[columns])
-            A[:, j] = (after[0] - after[1]) / 2e-6
+
+        def after_a_step(state, name=name, options=options):
+            start = {"rate0": state[n : 2 * n], "command0": state[2 * n :]}
+            made = simulate(case.system, rest, name, h, 1, state[:n], **start, **options)
+            return np.concatenate([made.q[-1], made.rate[-1], made.command])
+
+        A = linearised(after_a_step, np.concatenate([q0, np.zeros(2 * n)]), key)
         gain = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aad": {"gamma": 0.6}}.get(
             key, {}
         )
@@ -203,11 +199,7 @@ def test_growth_is_that_of_disturbed_runs_where_these_show_it(name, key, gains):
         made = cases.run(case, gains, key, task, h=h, steps=steps, rate0=state[n : 2 * n], command0=state[2 * n :])
         return np.concatenate([made.q[-1], made.rate[-1], made.command])
 
-    columns = [i + n * part for part in {"cv": (0, 2), "ca": (0, 1, 2)}.get(key, (0, 1)) for i in range(n)]
-    M = np.zeros((len(columns), len(columns)))
-    for j, column in enumerate(columns):
-        d = 1e-6 * np.eye(3 * n)[column]
-        M[:, j] = ((after_a_lap(start + d) - after_a_lap(start - d)) / 2e-6)[columns]
+    M = linearised(after_a_lap, start, key)
     # The product of the other methods is taken on the motion without error, which their runs leave by their truncation error.
     exact = {"rel": 1e-5} if key in cases.ZIGZAGS else {"rel": 0.01}
     assert cases.growth(case, gains, key, lap) == pytest.approx(st.spectral_radius(M), **exact)
@@ -215,7 +207,8 @@ def test_growth_is_that_of_disturbed_runs_where_these_show_it(name, key, gains):
 
 def test_report(tmp_path, monkeypatch):
     least, chart = paper.least_rate, paper.stability_chart
-    # Fewer rates and a coarse chart: what no test looks at.
+    # Fewer rates, a coarse chart and short runs: what no test looks at.
+    monkeypatch.setattr(dynamics, "STEPS", 800)
     monkeypatch.setattr(paper, "least_rate", lambda *given, **asked: least(*given, **asked | {"most": 7.0}))
     monkeypatch.setattr(
         paper, "stability_chart", lambda *given, **asked: chart(*given, gain=[0.3, 0.9], samples=[9, 64], **asked)

@@ -20,7 +20,10 @@ def poses(robot, count, seed=0):
     return robot.chain.forward(robot.random_q(np.random.default_rng(seed), count))[0]
 
 
-@pytest.mark.parametrize(("name", "solver"), [("hydrolek_7w", "lm"), ("hydrolek_7w", "dls"), ("mimic_mix", "lm")])
+ROWS = [("hydrolek_7w", "lm"), ("hydrolek_7w", "dls"), ("mimic_mix", "lm"), ("inspection_7dof", "inspection")]
+
+
+@pytest.mark.parametrize(("name", "solver"), ROWS)
 def test_rows_are_those_of_single_solves(name, solver):
     robot = load(name)
     T = sample(robot, 40)[1]
@@ -126,8 +129,6 @@ def test_mistakes_are_named_with_their_row():
     with pytest.raises(InvalidConfiguration, match="target 2400"):
         ik.solve_batch(robot, T, q0=q0)
     q0[2400] = robot.upper + 1.0
-    with pytest.raises(InvalidConfiguration, match=f"target 2400 .*{robot.joint_names[0]}"):
-        ik.solve_batch(robot, T, q0=q0, q0_outside="refuse")
     assert ik.solve_batch(robot, T[:1], q0=q0[2400:2401]).success.all()  # clamped otherwise
     with pytest.raises(InvalidConfiguration, match="shape"):
         ik.solve_batch(robot, T, q0=q0[:5])
@@ -141,64 +142,41 @@ def test_mistakes_are_named_with_their_row():
 
 
 @pytest.mark.parametrize(
-    "targets", [np.zeros((3, 5)), np.zeros(3), np.eye(4), "abc", [["a"] * 3], np.array([None] * 3), 5, iter(["x"])]
-)
-def test_what_is_not_an_array_of_targets_is_refused(targets):
-    with pytest.raises(InvalidTarget, match="targets must be"):
-        ik.solve_batch(load("hydrolek_7w"), targets)
-
-
-@pytest.mark.parametrize(
     ("targets", "said"),
     [
-        ("poses.csv", "not 'poses.csv'"),
+        (np.zeros((3, 5)), "targets must be"),
+        (np.zeros(3), "targets must be"),
+        ("abc", "targets must be"),
+        ([["a"] * 3], "targets must be"),
+        (np.array([None] * 3), "targets must be"),
+        (5, "targets must be"),
+        (iter(["x"]), "targets must be"),
+        ("poses.csv", "targets must be .*, not 'poses.csv'"),
         ([{1}], "not {1}"),
         ([np.eye(4), np.zeros(3)], "either poses or positions"),
         ({(1.0, 0.1, 0.2)}, "not {."),
         ({"position": {"x": 1, "y": 0, "z": 0}}, "a pose that is a dict has the fields of a ROS message"),
         (np.zeros((2, 7)), r"the numbers of a row go into ik.pose\(xyz=, quat_xyzw=\)"),
         (np.zeros((2, 6)), r"the numbers of a row go into ik.pose\(xyz=, rpy=\)"),
-        (np.eye(4), "ik.solve takes one target, and targets one by one go into a list"),
+        (np.eye(4), "targets must be .* ik.solve takes one target, and targets one by one go into a list"),
         (iter([np.eye(4), np.eye(4)]), "targets one by one go into a list"),
     ],
 )
-def test_what_was_given_for_targets_is_shown(targets, said):
+def test_what_is_not_an_array_of_targets_is_refused_and_shown(targets, said):
     with pytest.raises(InvalidTarget, match=said):
         ik.solve_batch(load("hydrolek_7w"), targets)
 
 
-def test_options_that_do_not_fit_are_refused():
-    robot = load("hydrolek_7w")
-    xyz = np.zeros((2, 3))
-    for options, words in (
-        ({"threads": 0}, "threads"),
-        ({"threads": 1.5}, "threads"),
-        ({"tolerence": 1}, "tolerance"),
-        ({"chain": True, "executor": concurrent.futures.ThreadPoolExecutor()}, "solve_path"),
-    ):
-        with pytest.raises(InvalidOption, match=words):
-            ik.solve_batch(robot, xyz, **options)
+def test_solvers_that_do_not_fit_are_refused():
     with pytest.raises(UnknownSolver):
-        ik.solve_batch(robot, xyz, "lmm")
+        ik.solve_batch(load("hydrolek_7w"), np.zeros((2, 3)), "lmm")
     with pytest.raises(InvalidOption, match="does not solve poses"):
         ik.solve_batch(load("planar_2r"), np.eye(4)[None], "planar-2r")
-    with pytest.raises(InvalidTarget, match=r"\(N, 2, 4, 4\)"):
-        ik.solve_batch(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]), xyz)
 
 
 @pytest.mark.parametrize(
     ("share", "rows"),
-    [
-        (0.0, 0),
-        (5e-324, 1),
-        (1e-3, 3),
-        (0.01, 30),
-        (1 / 3, 1000),
-        (np.float32(0.5), 1500),
-        (0.6, 1800),
-        (0.97, 2910),
-        (1.0, 3000),
-    ],
+    [(0.0, 0), (5e-324, 1), (0.01, 30), (1 / 3, 1000), (np.float32(0.5), 1500), (0.6, 1800), (0.97, 2910), (1.0, 3000)],
 )
 def test_the_share_asked_for_is_checked(monkeypatch, share, rows):
     """To a row, and the same rows whatever the chunks; 0.6 once checked a half."""
@@ -347,32 +325,26 @@ def test_an_iterator_is_not_read_far_ahead():
 
 
 # ------------------------------------------------------------------------------------------------------------- executors
-class Recording(concurrent.futures.Executor):
-    """Runs at once, and counts."""
+class Counting(concurrent.futures.ThreadPoolExecutor):
+    """A pool that counts what it is given."""
 
-    def __init__(self):
-        self.count = 0
+    count = 0
 
-    def submit(self, function, /, *arguments, **keywords):
+    def submit(self, *given, **named):
         self.count += 1
-        future = concurrent.futures.Future()
-        try:
-            future.set_result(function(*arguments, **keywords))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+        return super().submit(*given, **named)
 
 
 def test_an_executor_gives_the_same_bytes_and_the_same_errors():
     robot = load("mimic_mix")
     T = poses(robot, 9000)
-    executor = Recording()
-    far = ik.solve_batch(robot, T, "lm", executor=executor, seed=3)
-    assert executor.count == 3
-    assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=3).table.tobytes()
-    T[8000, 0, 3] = np.inf
-    with pytest.raises(InvalidTarget, match="target 8000"):
-        ik.solve_batch(robot, T, "lm", executor=executor)
+    with Counting(1) as pool:
+        far = ik.solve_batch(robot, T, "lm", executor=pool, seed=3)
+        assert pool.count == 3
+        assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=3).table.tobytes()
+        T[8000, 0, 3] = np.inf
+        with pytest.raises(InvalidTarget, match="target 8000"):
+            ik.solve_batch(robot, T, "lm", executor=pool)
 
 
 def test_processes_give_the_same_bytes():

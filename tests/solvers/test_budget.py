@@ -25,25 +25,12 @@ def test_a_failed_closed_form_leaves_the_search_what_is_left(name, solver):
         for T in searched:
             result = bound(T)
             assert 1 <= result.fk_evaluations <= budget
+            if result.status == ik.Status.ITERATION_LIMIT:
+                assert f"limit of {budget} evaluation" in result.message
             assert not robot.outside(result.q)
         batch = ik.solve_batch(robot, np.array(searched), solver, max_evaluations=budget)
         for row, T in zip(batch, searched, strict=True):
             assert row.fk_evaluations == bound(T).fk_evaluations
-
-
-def test_a_used_up_budget_is_said():
-    arm = robots.load("inspection_7dof")
-    rng = np.random.default_rng(8)
-    said = set()
-    for _ in range(20):
-        T = arm.fk(arm.random_q(rng)).homogeneous
-        T[:3, 3] += rng.uniform(-0.2, 0.2, 3)
-        result = ik.solve(arm, T, "inspection", max_evaluations=5)
-        said.add(result.status.name)
-        if result.status == ik.Status.ITERATION_LIMIT:
-            assert "limit of 5 evaluations was reached" in result.message
-        assert result.fk_evaluations <= 5
-    assert said <= {"CONVERGED", "UNREACHABLE", "LIMIT_BLOCKED", "ITERATION_LIMIT"}
 
 
 def test_attempts_that_are_all_cut_off_are_called_that():
@@ -55,7 +42,6 @@ def test_attempts_that_are_all_cut_off_are_called_that():
         assert cut.status == ik.Status.ITERATION_LIMIT and "after 250 starts, each cut off" in cut.message
         assert "try more iterations" in cut.message and "unreachable" not in cut.message
         assert ik.solve_batch(robot, [target], max_iterations=steps).status[0] == ik.Status.ITERATION_LIMIT
-    assert "after 1 iteration;" in ik.solve(robot, target, max_iterations=1, restarts=0).message
     assert ik.solve(robot, target).success
     away = target.homogeneous
     # in reach of the links, not of the joints: what the search itself gives up is STALLED

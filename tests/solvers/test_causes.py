@@ -77,12 +77,9 @@ def test_an_attempt_that_stops_at_a_limit_blames_no_limit_for_what_others_reach(
 
 
 def five_joints():
-    return robots.load(
-        robots.urdf(
-            *(dict(kind="revolute", xyz="0.2 0.05 0.1", axis=a) for a in ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")),
-            dict(kind="fixed", xyz="0.1 0 0"),
-        )
-    )
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")
+    joints = (dict(kind="revolute", xyz="0.2 0.05 0.1", axis=axis) for axis in axes)
+    return robots.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.1 0 0")))
 
 
 def test_an_arm_with_too_few_joints_is_told_so():
@@ -103,11 +100,8 @@ def test_an_arm_with_too_few_joints_is_told_so():
 def test_an_axis_that_cannot_tilt_is_named():
     arm = robots.load(SCARA)
     m = arm.mobility
-    assert (
-        (m.directions, m.turns, m.moves) == (4, 1, 3)
-        and np.allclose(m.tip_axis, [0, 0, 1])
-        and np.allclose(m.axis, [0, 0, -1])
-    )
+    assert (m.directions, m.turns, m.moves) == (4, 1, 3)
+    assert np.allclose(m.tip_axis, [0, 0, 1]) and np.allclose(m.axis, [0, 0, -1])
     T = arm.fk(arm.random_q(np.random.default_rng(1)))
     told = "the tip's z axis always points along -z of the base, and the target's points"
     for turn, how in (
@@ -128,10 +122,8 @@ def test_a_plane_that_is_never_left_and_a_turn_that_never_happens_are_named():
     off = "the tip never moves along z of the base, and the target is 50 mm off"
     assert off in ik.solve(gantry, ik.pose((0.2, 0.1, 0.65), rpy=(0, 0, 0))).message
     assert ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 0))).success
-    assert (
-        "the tip never turns, and the target is turned by 57.3 deg"
-        in ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 1))).message
-    )
+    turned = ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 1)))
+    assert "the tip never turns, and the target is turned by 57.3 deg" in turned.message
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "panda"])

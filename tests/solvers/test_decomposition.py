@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 import robots
 from second_fk import SecondFK
+from serial_arms import away
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.algebra import V3
@@ -57,28 +58,21 @@ def arm_of(kind, seed, off=0.0):
     return make_arm(axes, points + off * rng.uniform(-1, 1, (6, 3)), T)
 
 
-def apart(Q, q):
-    """Largest joint difference (...) of Q (..., 6) and q (6,), without full turns."""
-    return np.abs((Q - q + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
-
-
-def ask(arm, Q, forms, within=0.0):
+def ask(arm, Q, forms):
     """Answers for the poses of the tip at Q (N, 6): lists of solutions, verdicts, and everything."""
-    found = answers(forms, arm, np.array([arm_tip(arm, q) for q in Q]), within)
+    found = answers(forms, arm, np.array([arm_tip(arm, q) for q in Q]))
     return [one[1 : 1 + int(one[0, 0]), :6] for one in found], found[:, 0, 1], found
 
 
-def wrist_robot(tmp_path, limit, scale=1.0):
+def wrist_robot(limit, scale=1.0):
     """A robot with a wrist whose joints have the limits -limit and limit; scale: a factor of all lengths."""
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
     steps = ("0 0 0.4", "0.1 0 0", "0 0 0.7", "0.1 0 0.1", "0.6 0 0", "0 0 0")
-    path = tmp_path / "wrist.urdf"
     text = robots.urdf(*(
         dict(kind="revolute", axis=axis, xyz=" ".join(str(scale * float(x)) for x in xyz.split()), limits=(-limit, limit))
         for axis, xyz in zip(axes, steps, strict=True)
     ))  # fmt: skip
-    path.write_text(text)
-    return ik.Robot.load(path), SecondFK(text)
+    return ik.Robot.load(text), SecondFK(text)
 
 
 # --------------------------------------------------------------------------------------------------------------- subproblems
@@ -158,12 +152,12 @@ def test_branches_are_what_the_elimination_finds(kind):
         (split, a, found), (other, b, _) = ask(arm, Q, forms[:1]), ask(arm, Q, forms[1:])
         assert (a == VERDICT.certain).all() and (found[:, 0, 2] == 0.0).all()
         for q, one, two, sure in zip(Q, split, other, b == VERDICT.certain, strict=True):
-            assert apart(one, q).min() < 1e-7 and all(
+            assert away(one, q).min() < 1e-7 and all(
                 np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-9 for x in one
             )
             if sure:
                 both += 1
-                assert len(one) == len(two) and all(apart(two, x).min() < 1e-6 for x in one)
+                assert len(one) == len(two) and all(away(two, x).min() < 1e-6 for x in one)
     assert both > 30
 
 
@@ -191,7 +185,7 @@ def test_hard_targets_are_listed_and_none_is_lost_under_a_certificate(kind):
     )
     for Q in (half, near, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (150, 6))):
         lists, verdicts, _ = ask(arm, Q, forms[:1])
-        lost = np.array([not (len(one) and apart(one, q).min() < 1e-3) for one, q in zip(lists, Q, strict=True)])
+        lost = np.array([not (len(one) and away(one, q).min() < 1e-3) for one, q in zip(lists, Q, strict=True)])
         assert not (lost & (verdicts == VERDICT.certain)).any()
         assert (lost & (verdicts != VERDICT.family)).mean() <= 0.05 and (
             (verdicts == VERDICT.certain) | (verdicts == VERDICT.family)
@@ -220,14 +214,14 @@ def test_an_arm_that_is_a_little_off_is_certified_only_where_that_does_not_matte
         certain = a == VERDICT.certain
         unsure += (~certain).sum()
         for q, one, two, sure, both in zip(Q, split, other, certain, certain & (b == VERDICT.certain), strict=True):
-            assert not sure or apart(one, q).min() < 1e-3
-            assert not both or (len(one) == len(two) and all(apart(two, x).min() < 1e-3 for x in one))
+            assert not sure or away(one, q).min() < 1e-3
+            assert not both or (len(one) == len(two) and all(away(two, x).min() < 1e-3 for x in one))
     assert unsure <= (2 if off < 1e-8 else 180)
 
 
-def test_a_pose_just_out_of_reach_is_no_proof(tmp_path):
+def test_a_pose_just_out_of_reach_is_no_proof():
     """Within the tolerances a stretched arm reaches a little farther than it does exactly."""
-    robot, _ = wrist_robot(tmp_path, 3.0)
+    robot, _ = wrist_robot(3.0)
     solver, search, rng, seen = ik.Solver(robot), ik.Solver(robot, "lm", restarts=60), np.random.default_rng(13), []
     for push in np.repeat([1e-9, 1e-8, 1e-7, 9e-7, 1e-5, 1e-3], 5):
         q = rng.uniform(-1.0, 1.0, 6)
@@ -239,7 +233,7 @@ def test_a_pose_just_out_of_reach_is_no_proof(tmp_path):
         assert result.success == search(T).success
         said = solutions_of(recognise_six_revolute(robot.chain).parameters, T, 30.0 * np.sqrt(1e-6))
         if push < 1e-6:  # It is listed, or among the places to try that come with the certificate.
-            assert apart(np.vstack([said.q, said.near]), q).min() < 0.01
+            assert away(np.vstack([said.q, said.near]), q).min() < 0.01
         seen.append(
             (push < 1e-6, result.success, result.solver == "elimination" and result.status == ik.Status.UNREACHABLE)
         )
@@ -255,7 +249,7 @@ def test_two_axes_on_one_line_are_never_certain(kind, first):
     Q = np.random.default_rng(6).uniform(-np.pi, np.pi, (50, 6))
     listed, verdict, _ = ask(arm, Q, make_forms(arm))
     for some, certain, q in zip(listed, verdict == VERDICT.certain, Q, strict=True):
-        assert not certain or (len(some) and apart(some, q).min() < 1e-3)
+        assert not certain or (len(some) and away(some, q).min() < 1e-3)
 
 
 def test_an_angle_that_rounded_axes_leave_almost_free_adds_no_wrong_solutions():
@@ -275,9 +269,9 @@ def test_an_angle_that_rounded_axes_leave_almost_free_adds_no_wrong_solutions():
         assert all(np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-10 for x in some)
 
 
-def test_a_list_is_not_called_complete_where_solving_finds_a_pose_within_the_tolerances(tmp_path):
+def test_a_list_is_not_called_complete_where_solving_finds_a_pose_within_the_tolerances():
     """As for an arm of millimetres, where 1e-6 m is much: its exact solution is beyond a limit, one at the limit will do."""
-    robot, rng = wrist_robot(tmp_path, 1.5, 1e-3)[0], np.random.default_rng(3)
+    robot, rng = wrist_robot(1.5, 1e-3)[0], np.random.default_rng(3)
     solver, seen = ik.Solver(robot, orientation_tolerance=1e-3), 0
     for _ in range(20):
         q = rng.uniform(-1.4, 1.4, 6)
@@ -291,8 +285,8 @@ def test_a_list_is_not_called_complete_where_solving_finds_a_pose_within_the_tol
 
 # ---------------------------------------------------------------------------------------------------------------------- families
 @pytest.mark.parametrize("limit", [2.0, 3.3])
-def test_a_straight_wrist_is_a_family_with_its_range(tmp_path, limit):
-    robot, second = wrist_robot(tmp_path, limit)
+def test_a_straight_wrist_is_a_family_with_its_range(limit):
+    robot, second = wrist_robot(limit)
     q = np.array([0.3, -0.4, 0.6, 1.5, 0.0, 0.9])
     T = robot.fk(q)
     found = ik.solve_all(robot, T, q0=q)
@@ -300,7 +294,7 @@ def test_a_straight_wrist_is_a_family_with_its_range(tmp_path, limit):
     ranges = [
         (one.lower, one.upper) for one in found.families if one.joints == (robot.joint_names[3], robot.joint_names[5])
     ]
-    assert apart(found.q, q).min() < 1e-6  # the member nearest to q0
+    assert away(found.q, q).min() < 1e-6  # the member nearest to q0
     for x in np.linspace(-limit - 0.5, limit + 0.5, 200):  # joints 4 and 6 turn about one line, so that their sum stays
         last = q[3] + q[5] - x + 2 * np.pi * np.arange(-2, 3)
         legal = abs(x) <= limit and (np.abs(last) <= limit).any()

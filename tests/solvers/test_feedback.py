@@ -53,29 +53,6 @@ def test_every_shipped_preset_runs():
             assert found.share > 0.4, f"{solver} {name}: {found}"
 
 
-@pytest.mark.parametrize("name", ["burell-2016", "missing.toml"])
-def test_unknown_preset_is_refused_by_name(name):
-    with pytest.raises(InvalidOption, match=name.split(".")[0]):
-        ik.StateSpace.preset(name)
-
-
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("solver = 'pid'\n", "pid"),
-        ("solver = 'state-space'\n[parameters]\nK = 1\n", "K"),
-        ("solver = 'state-space'\n[options]\ntolerence = 1\n", "tolerence"),
-        ("solver = \n", "read"),
-        ("solver = 'state-space'\nparameters = 3\n", "tables"),
-    ],
-)
-def test_broken_preset_files_are_refused(tmp_path, text, word):
-    file = tmp_path / "x.toml"
-    file.write_text(text)
-    with pytest.raises(InvalidOption, match=word):
-        ik.StateSpace.preset(str(file))
-
-
 def test_preset_files_keep_every_bit(tmp_path):
     rng = np.random.default_rng(0)
     B, starts = rng.normal(size=(4, 6, 3)), rng.uniform(-0.1, 0.1, (4, 6))
@@ -190,9 +167,8 @@ def test_each_start_selects_its_map_and_q0_selects_the_nearest():
 def test_restarts_take_the_next_starts():
     robot = robots.load("hydrolek_7w")
     targets = [tips(robot, 500, 9)]
-    rule = ik.StateSpace(
-        D=0.9 * inverse_maps(robot, spread_starts(robot, True, 16), True), starts=spread_starts(robot, True, 16)
-    )
+    starts = spread_starts(robot, True, 16)
+    rule = ik.StateSpace(D=0.9 * inverse_maps(robot, starts, True), starts=starts)
     one, many = (score(robot, rule, targets, restarts=k, **ONE) for k in (0, 7))
     assert many.share > one.share
 

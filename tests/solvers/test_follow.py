@@ -112,21 +112,10 @@ def test_a_batch_follows_row_by_row():
     assert all(np.array_equal(batch.q[k], one(T[k], q0=Q[k]).q) for k in range(0, 300, 30))
 
 
-@pytest.mark.parametrize("options", [{"closest": True}, {"restarts": 3}, {"objective": "mid-range"}])
-def test_what_follow_goes_without(options):
-    robot = robots.load("hydrolek_7w")
-    with pytest.raises(ik.IKError, match="follow"):
-        ik.Solver(robot, follow=True, **options)
-
-
-def test_follow_needs_a_start_and_a_rule():
+def test_follow_needs_a_rule_and_starts():
     robot = robots.load("planar_2r")
-    with pytest.raises(ik.IKError, match="q0"):
-        ik.solve(robot, (1.0, 1.0, 0.0), follow=True)
     with pytest.raises(ik.IKError, match="closed form"):
         ik.Solver(robot, "planar-2r", follow=True)((1.0, 1.0, 0.0), robot.home)
-    with pytest.raises(ik.IKError, match="follow"):
-        ik.Solver(robot, follow=-1.0)
     with pytest.raises(ik.IKError, match="q0"):
         ik.solve_batch(robot, np.ones((3, 3)), follow=True)
 
@@ -139,8 +128,7 @@ def test_attempt_tells_where_the_answer_comes_from():
         result = ik.solve(robot, target, "lm", q0=q0)
         alone = ik.solve(robot, target, "lm", q0=q0, restarts=0, max_iterations=1000)
         seen.add(result.attempt > 0)
-        assert (result.attempt > 0) == ("found by attempt" in result.notice)
-        assert result.to_dict()["attempt"] == result.attempt <= result.restarts
+        assert result.attempt <= result.restarts
         if result.attempt == 0 and result.success:
             assert alone.success and np.allclose(result.q, alone.q, atol=1e-4)
     assert seen == {True, False}
@@ -150,9 +138,7 @@ def test_a_joint_that_goes_to_its_other_end_is_said():
     robot = ik.Robot.load(robots.urdf(*(dict(kind="revolute", limits=(-3.5, 3.5), xyz="0.5 0 0") for _ in range(3))))
     q0, solver = np.array([3.49, 0.4, 0.3]), ik.Solver(robot, "lm")
     over = robot.fk([3.49, 0.4, 0.3]).homogeneous
-    turn = pin.SE3(
-        pin.exp3(np.array([0.0, 0.0, 0.03])), np.zeros(3)
-    ).homogeneous  # about the first joint's axis, past its limit
+    turn = turned(np.eye(4), 0.03)  # about the first joint's axis, past its limit
     turn[:3, 3] = np.array([0.5, 0, 0]) - turn[:3, :3] @ np.array([0.5, 0, 0])
     jumped, stayed = solver(turn @ over, q0=q0), solver(over, q0=q0)
     assert jumped.success and abs(jumped.q[0] - q0[0]) > np.pi and jumped.attempt == 0
@@ -189,16 +175,6 @@ def test_a_mask_in_tip_axes_stays_near_its_start():
         assert masked.success and axis.success
         assert masked.attempt == axis.attempt == 0
         assert np.abs(masked.q - q0).max() < 0.01 + 2 * np.abs(axis.q - q0).max()
-
-
-def test_closest_to_home_is_the_nearest_of_what_it_compares():
-    robot = robots.load("hydrolek_7w")
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        q = np.clip(robot.home + rng.uniform(-0.1, 0.1, robot.n), robot.lower, robot.upper)
-        result = ik.solve(robot, robot.fk(q).homogeneous, closest=True)
-        assert result.success
-        assert np.linalg.norm(result.q - robot.home) <= np.linalg.norm(q - robot.home) + 0.05
 
 
 def test_follow_on_the_command_line(capsys):

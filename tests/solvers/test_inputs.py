@@ -15,7 +15,6 @@ from ik_toolkit.solvers.batch.parts import AHEAD
 from ik_toolkit.solvers.batch.solve_batch import solve_parts
 
 ARM = "hydrolek_7w"
-TREE = ("brokk_hydrolek", ("left_tip", "right_tip"))
 
 
 def good():
@@ -27,7 +26,7 @@ def good():
 def every_way(robot, T):
     """Calls that take a pose, by name."""
     start = good()[1]
-    tree = ik.Tree.load(TREE[0], tips=list(TREE[1]))
+    tree = load("two_arms")
     return {
         "solve": lambda: ik.solve(robot, T, "lm"),
         "Solver": lambda: ik.Solver(robot, "lm")(T),
@@ -49,23 +48,39 @@ def with_last_row(row):
     return T
 
 
-@pytest.mark.parametrize(
-    ("T", "words"),
-    [
-        (good()[1].T.copy(), "transposed"),
-        (good()[1].T, "transposed"),
-        (with_last_row([1.0, 2.0, 3.0, 4.0]), "last row"),
-        (with_last_row([0.0, 0.0, 0.0, 1.0 + 1e-6]), "last row"),
-        (with_last_row([0.0, 0.0, 0.0, 0.0]), "last row"),
-        (with_last_row([math.nan] * 4), "finite"),
-        (with_last_row([0.0, 0.0, math.inf, 1.0]), "finite"),
-    ],
-)
-def test_a_pose_with_a_wrong_last_row_is_refused_everywhere(T, words):
-    for name, call in every_way(load(ARM), T).items():
+def no_poses():
+    """What is no pose, by name: with a wrong last row, or what numpy would turn into numbers; and a word of what is said."""
+    T = good()[1]
+    hidden = np.ma.array(T, mask=np.zeros((4, 4), dtype=bool))
+    hidden[0, 3] = np.ma.masked
+    return {
+        "transposed": (T.T.copy(), "transposed"),
+        "a transposed view": (T.T, "transposed"),
+        "another last row": (with_last_row([1.0, 2.0, 3.0, 4.0]), "last row"),
+        "a last row that is a little off": (with_last_row([0.0, 0.0, 0.0, 1.0 + 1e-6]), "last row"),
+        "a last row of zeros": (with_last_row([0.0, 0.0, 0.0, 0.0]), "last row"),
+        "a last row of NaN": (with_last_row([math.nan] * 4), "finite"),
+        "a last row with infinity": (with_last_row([0.0, 0.0, math.inf, 1.0]), "finite"),
+        "dates": (np.array([["2026-01-01"] * 4] * 4, dtype="M8[D]"), None),
+        "lengths of time": (np.ones((4, 4), dtype="m8[s]"), None),
+        "complex": (T + 0.5j, None),
+        "masked": (hidden, None),
+        "objects": (T.astype(object), None),
+        "nothing": (np.full((4, 4), None), None),
+        "truth values": (np.eye(4, dtype=bool), None),
+        "texts": (T.astype(str), None),
+        "bytes": (T.astype("S20"), None),
+        "records": (np.zeros((4, 4), dtype=[("x", float)]), None),
+    }
+
+
+@pytest.mark.parametrize("name", list(no_poses()))
+def test_what_is_no_pose_is_refused_everywhere(name):
+    T, words = no_poses()[name]
+    for way, call in every_way(load(ARM), T).items():
         with pytest.raises(InvalidTarget, match=words):
             call()
-            pytest.fail(name)
+            pytest.fail(way)
 
 
 def test_the_row_of_a_batch_that_looks_transposed_is_named():
@@ -74,33 +89,6 @@ def test_the_row_of_a_batch_that_looks_transposed_is_named():
     T[2222] = T[2222].T.copy()
     with pytest.raises(InvalidTarget, match=r"target 2222: .*transposed"):
         ik.solve_batch(robot, T, "lm")
-
-
-def no_numbers():
-    """Positions and poses that numpy would turn into numbers."""
-    T = good()[1]
-    hidden = np.ma.array(T, mask=np.zeros((4, 4), dtype=bool))
-    hidden[0, 3] = np.ma.masked
-    return {
-        "dates": np.array([["2026-01-01"] * 4] * 4, dtype="M8[D]"),
-        "lengths of time": np.ones((4, 4), dtype="m8[s]"),
-        "complex": T + 0.5j,
-        "masked": hidden,
-        "objects": T.astype(object),
-        "nothing": np.full((4, 4), None),
-        "truth values": np.eye(4, dtype=bool),
-        "texts": T.astype(str),
-        "bytes": T.astype("S20"),
-        "records": np.zeros((4, 4), dtype=[("x", float)]),
-    }
-
-
-@pytest.mark.parametrize("name", list(no_numbers()))
-def test_what_is_not_a_number_is_no_pose(name):
-    for way, call in every_way(load(ARM), no_numbers()[name]).items():
-        with pytest.raises(InvalidTarget):
-            call()
-            pytest.fail(way)
 
 
 @pytest.mark.parametrize(
@@ -132,10 +120,7 @@ def test_what_is_not_a_number_is_refused_wherever_numbers_go_in(three):
         (lambda: ik.solve(robot, T, q0=six), InvalidConfiguration),
         (lambda: ik.solve_batch(robot, T[None], q0=six), InvalidConfiguration),
         (lambda: ik.solve_batch(robot, T[None], q0=[six]), InvalidConfiguration),
-        (lambda: ik.solve(robot, T, tolerance=three[0]), InvalidOption),
     ):
-        if error is InvalidOption and isinstance(three[0], float | np.floating):
-            continue
         with pytest.raises(error):
             call()
 
@@ -242,6 +227,7 @@ def test_an_array_that_changes_between_the_parts_changes_no_part_already_read():
 def test_a_position_has_no_rotation_to_weigh(weights):
     robot = load(ARM)
     xyz = robot.fk(robot.home).translation
+    said = "a position leaves orientation free, so the last three weights of its mask must be 0, not "
     for call in (
         lambda: ik.solve(robot, xyz, mask=weights),
         lambda: ik.Solver(robot, "lm", mask=weights)(xyz),
@@ -249,17 +235,14 @@ def test_a_position_has_no_rotation_to_weigh(weights):
         lambda: ik.solve_path(robot, xyz[None], mask=weights),
         lambda: ik.solve_all(robot, xyz, mask=weights),
     ):
-        with pytest.raises(
-            InvalidOption,
-            match="a position leaves orientation free, so the last three weights of its mask must be 0, not ",
-        ):
+        with pytest.raises(InvalidOption, match=said):
             call()
     assert ik.solve(robot, xyz, mask=(1, 1, 0, 0, 0, 0)).success
 
 
 @pytest.mark.parametrize("options", [{"free_turn": "z"}, {"priority": "orientation"}, {"slack": (0, 0, 0, 0.1, 0, 0)}])
 def test_what_is_about_orientation_alone_is_refused_for_positions(options):
-    tree = ik.Tree.load("brokk_hydrolek")
+    tree = load("two_arms")
     (left, right), at = tree.tips, tree.fk(tree.home)
     places = {left: at[left].translation, right: at[right].translation}
     (name,) = options
@@ -345,26 +328,20 @@ def test_counts_are_whole_numbers_however_they_are_written():
 
 
 def test_lengths_in_messages_are_in_metres_where_they_are_long():
-    tree = ik.Tree.load(TREE[0], tips=list(TREE[1]))
-    far = ik.solve(tree, {tip: (1e5, side, 0.0) for tip, side in zip(TREE[1], (1.0, -1.0), strict=True)}, restarts=0)
+    far = ik.solve(load("two_arms"), {"left_tip": (1e5, 1.0, 0.0), "right_tip": (1e5, -1.0, 0.0)}, restarts=0)
     assert far.status == ik.Status.UNREACHABLE and "left_tip 100000 m" in far.message and "mm" not in far.message
     one = ik.solve(load(ARM), (1e5, 0.0, 0.0), restarts=0)
     assert "beyond reach by 100000 m" in one.message and "mm" not in one.message
 
 
-@pytest.mark.parametrize("rule", [("lm", "damping"), ("dls", "damping"), ("pinv", "gain"), ("transpose", "gain")])
-def test_a_negative_parameter_is_refused(rule):
-    solver, name = rule
-    robot = load(ARM)
-    for call in (ik.solve, ik.solve_batch):
-        target = robot.fk(robot.home) if call is ik.solve else [robot.fk(robot.home)]
+@pytest.mark.parametrize(
+    ("solver", "name"), [("lm", "damping"), ("dls", "damping"), ("pinv", "gain"), ("transpose", "gain")]
+)
+def test_a_negative_parameter_is_refused(solver, name):
+    robot, T = good()
+    for call, target in ((ik.solve, T), (ik.solve_batch, [T])):
         with pytest.raises(InvalidOption, match=f"'{solver}' needs a {name} of at least 0, not -3"):
             call(robot, target, solver, **{name: -3.0})
-
-
-def test_a_misspelled_parameter_of_a_solver_gets_its_near_match():
-    with pytest.raises(InvalidOption, match=r"no option 'dampin'\. Did you mean 'damping'"):
-        ik.solve(load(ARM), (1.0, 0.1, 0.2), "dls", dampin=0.1)
 
 
 def test_an_error_says_whose_pose_is_wrong():

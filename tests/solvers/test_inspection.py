@@ -148,15 +148,6 @@ def test_four_thousand_near_singular_configurations(arm, every):
     assert worst < 1e-10  # 4e-9 where the reach is not kept inside what the elbow spans
 
 
-def test_flips_are_exact_symmetries(arm, every):
-    """The shoulder and the whole-arm flip of the study of branches map the set onto itself."""
-    q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
-    found = every(arm.chain.forward(q)[0][0], 0.22)
-    flip = np.array([q[0] + PI, q[1], -q[2], q[3] + PI, *q[4:]])
-    other = np.array([q[0], q[1], q[2] + PI, PI - q[3], PI - q[4], q[5] + PI, q[6]])
-    assert apart([flip, other], found).min(axis=1).max() < 1e-12
-
-
 # -------------------------------------------------------------------------------------- inspection: the public solver
 def test_lift_choices(arm):
     q = arm.home + 0.05
@@ -205,6 +196,8 @@ def test_every_branch_outside_the_limits_is_limit_blocked(arm):
     assert not arm.outside(result.q)
     assert result.position_error == pytest.approx(arm.errors(result.q, arm.fk(q).homogeneous)[0], abs=1e-12)
     assert ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22), limits=False).success
+    assert result.q[1] == pytest.approx(0.22, abs=1e-12)
+    assert not ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.6)).success
 
 
 def test_poses_that_need_more_stroke_name_the_lift(arm):
@@ -251,6 +244,8 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
     found = ik.solve_all(arm, arm.fk(arm.home))
     assert not found.complete and len(found) > 5 and "infinitely many" in found.message
     assert len(set(found.q[:, 1].round(6))) > 2 and found.position_error.max() < 1e-9
+    lift = next(family for family in found.families if family.joints[0] == "lift")
+    assert arm.lower[1] <= lift.lower < arm.home[1] < lift.upper <= arm.upper[1]
     few = ik.solve_all(arm, arm.fk(arm.home), ik.Inspection(lift=0.22), count=2, limits=False)
     assert len(few) == 2 and not few.complete
 

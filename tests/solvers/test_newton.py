@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import robots
-from serial_arms import urdf
+from serial_arms import drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -54,7 +54,7 @@ def test_it_is_a_switch():
 def test_a_plane_need_not_be_along_the_axes(tilt, slide):
     """Two joints move the tip in a plane: two independent errors, though all three components change."""
     joints = [("prismatic", (0, 0, 0), tilt, slide, -3, 3), ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), -3, 3)]
-    robot = ik.Robot.load(urdf(joints, ((0.7, 0, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(joints, (0.7, 0, 0))
     run = ik.solve(robot, robot.fk([0.3, 1.0]).translation, "newton", q0=[0.1, 1.1], tolerance=1e-10)
     assert run.success and np.abs(run.q - [0.3, 1.0]).max() < 1e-8
     with pytest.raises(InvalidOption, match="has 3 and the path 2"):

@@ -4,7 +4,7 @@ import logging
 import subprocess
 import sys
 import textwrap
-from typing import NamedTuple
+from collections import namedtuple
 
 import pytest
 import robots
@@ -153,69 +153,35 @@ def test_auto_stays_with_our_own_solvers(installed):
 
 
 # ------------------------------------------------------------------------------------------------------ marked classes
-def test_what_cannot_be_a_rule_is_refused_where_it_is_written():
-    with pytest.raises(TypeError, match=r"NamedTuple class with a method step"):
-
-        @ik.rule
-        class NoStep(NamedTuple):
-            gain: float = 1.0
-
-    with pytest.raises(TypeError, match="at least one parameter"):
-
-        @ik.rule
-        class NoField(NamedTuple):
-            def step(self, p, e):
-                return 0
-
-    @ik.rule
-    class Packed(NamedTuple):
-        gain: float = 1.0
-
-        def pack(self, robot, asked):
-            return self
-
-        def step(self, p, e):
-            return 0
-
-    assert Packed().gain == 1.0
-    with pytest.raises(TypeError, match=r"OldPack: pack takes \(self, robot, asked\)"):
-
-        @ik.rule
-        class OldPack(NamedTuple):
-            gain: float = 1.0
-
-            def pack(self, robot):
-                return self
-
-            def step(self, p, e):
-                return 0
-
-    with pytest.raises(TypeError, match="Framed: 'frame' is an option of every solver"):
-
-        @ik.rule
-        class Framed(NamedTuple):
-            frame: float = 1.0
-
-            def step(self, p, e):
-                return 0
-
-    with pytest.raises(TypeError, match="`recognise` and `every`"):
-
-        @ik.closed_form
-        class NoBranches(NamedTuple):
-            pass
+def made(marker, fields="gain", **methods):
+    """A class of these fields and methods, marked as a rule or a closed form."""
+    return marker(type("Odd", (namedtuple("Odd", fields, defaults=[1.0] * len(fields.split())),), methods))
 
 
-class Unmarked(NamedTuple):
-    gain: float = 1.0
+def step(self, p, e):
+    return 0
 
-    def step(self, p, e):
-        return 0
+
+@pytest.mark.parametrize(
+    ("marker", "fields", "methods", "says"),
+    [
+        (ik.rule, "gain", {}, r"NamedTuple class with a method step"),
+        (ik.rule, "", {"step": step}, "at least one parameter"),
+        (ik.rule, "gain", {"step": step, "pack": lambda self, robot: self}, r"Odd: pack takes \(self, robot, asked\)"),
+        (ik.rule, "frame", {"step": step}, "Odd: 'frame' is an option of every solver"),
+        (ik.closed_form, "", {}, "`recognise` and `every`"),
+    ],
+)
+def test_what_cannot_be_a_solver_is_refused_where_it_is_written(marker, fields, methods, says):
+    with pytest.raises(TypeError, match=says):
+        made(marker, fields, **methods)
+    assert made(ik.rule, step=step, pack=lambda self, robot, asked: self)().gain == 1.0
 
 
 def test_a_class_that_is_not_marked_is_told_how():
-    with pytest.raises(UnknownSolver, match=r"Unmarked is not marked as a rule: put @ik_toolkit\.rule above the class"):
-        ik.Solver(robots.load("planar_2r"), Unmarked)
+    unmarked = made(lambda cls: cls, step=step)
+    with pytest.raises(UnknownSolver, match=r"Odd is not marked as a rule: put @ik_toolkit\.rule above the class"):
+        ik.Solver(robots.load("planar_2r"), unmarked)
 
 
 # ----------------------------------------------------------------------------------------------------- a class in a file

@@ -8,7 +8,6 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit import errors
 
 
 def manipulability(robot, q):
@@ -66,24 +65,6 @@ def test_an_answer_near_a_reference_is_no_farther_than_one_without(robot, option
         assert near.status is plain.status and (not plain.success or far[1] <= far[0] * (1.0 + 1e-12))
 
 
-def test_reference_objective_pulls_towards_q0():
-    """Nearness is measured as `closest` does: by the Euclidean norm, in which joint weights divide the squares."""
-    robot = robots.load("inspection_7dof")
-    Q, T = robots.sample(robot, 20, seed=32)
-    weights = np.array([1.0, 0.3, 2.0, 1.0, 0.5, 1.0, 4.0])
-    for given in (None, weights):
-        unit, closer = robot.chain.unit * np.sqrt(np.ones(7) if given is None else given), 0
-        for q, target in zip(Q, T, strict=True):
-            q0 = np.clip(q + 0.2, robot.lower, robot.upper)
-            how = {"q0": q0, "joint_weights": given}
-            plain = ik.solve(robot, target, "lm", **how)
-            pulled = ik.solve(robot, target, "lm", objective="reference", **how)
-            a, b = (np.linalg.norm((x.q - q0) / unit) for x in (plain, pulled))
-            assert pulled.success and b <= a + 1e-9
-            closer += b < a - 1e-4
-        assert closer >= 10
-
-
 def test_reference_objective_ends_where_no_self_motion_is_nearer():
     """At the end the gradient of the weighted distance has no part along the self-motion, unless a limit is in the way."""
     robot, weights, seen = robots.load("planar_3r"), np.array([0.2, 1.0, 5.0]), 0
@@ -119,8 +100,8 @@ def test_closest_keeps_a_solved_reference():
     q = robot.random_q(np.random.default_rng(3))
     result = ik.solve(robot, robot.fk(q), closest=q)
     assert np.allclose(result.q, q, atol=1e-6)
-    with pytest.raises(errors.InvalidOption, match="not both"):
-        ik.solve(robot, robot.fk(q), closest=q, q0=q)
+    q = robot.home + 0.05
+    assert np.allclose(ik.solve(robot, robot.fk(q), closest=True).q, q, atol=1e-5)  # closest to home
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "slides_mix"])
@@ -208,16 +189,3 @@ def test_joint_weights_share_the_motion():
     heavy = ik.solve(robot, target, "lm", q0=q, restarts=0, joint_weights=(1, 1e-6, 1, 1, 1, 1, 1))
     assert heavy.success and free.success
     assert abs(heavy.q[1] - q[1]) < 0.01 * abs(free.q[1] - q[1]) + 1e-9
-
-
-def test_closed_forms_refuse_preferences():
-    robot = robots.load("planar_2r")
-    with pytest.raises(errors.InvalidOption, match="closed form"):
-        ik.solve(robot, (1.0, 0.5, 0.0), "planar-2r", closest=[0.1, 0.2])
-    assert ik.solve(robot, (1.0, 0.5, 0.0), closest=[0.1, 0.2]).solver == "lm"
-
-
-def test_objective_must_exist():
-    robot = robots.load("hydrolek_7w")
-    with pytest.raises(errors.InvalidOption, match="mid-range"):
-        ik.solve(robot, robot.fk(robot.home), objective="middle")

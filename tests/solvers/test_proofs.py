@@ -3,21 +3,16 @@
 import numpy as np
 import pytest
 import robots
-import serial_arms
+from serial_arms import anywhere, drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
 
 
-def outside(robot, rng):
-    """A pose reached only beyond a limit, most likely."""
-    return robot.fk(rng.uniform(-np.pi, np.pi, 6)).homogeneous
-
-
 def mixed(robot, count, seed):
     """Poses (2 count, 4, 4): one half reached within the limits, the other mostly not."""
     rng = np.random.default_rng(seed)
-    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [outside(robot, rng) for _ in range(count)]])
+    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [anywhere(robot, rng) for _ in range(count)]])
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])
@@ -102,7 +97,7 @@ def test_a_solution_on_a_limit_where_two_merge_is_listed(end, all_turns):
              ((0, 0.1, 0), (0, 0, 1)), ((0, 0, 0.1), (0, 1, 0))]
         )
     ]  # fmt: skip
-    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 0.1, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(joints, (0, 0.1, 0))
     rng, complete = np.random.default_rng(30), 0
     for _ in range(60):
         q = robot.random_q(rng)
@@ -129,7 +124,7 @@ def test_an_answer_that_pinocchio_does_not_confirm_proves_nothing():
     joints = [
         ("revolute", (4e4, 0, 3e4), (turn, 0, 0), (0, 0, 1), -2.9, 2.9) for turn in (0, 1.5, 0.4, -1.3, 1.5, -1.2)
     ]
-    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 1e4, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(joints, (0, 1e4, 0))
     results = [ik.solve(robot, robot.fk(q), tolerance=1e-11) for q in robot.random_q(np.random.default_rng(34), 40)]
     failed = [result for result in results if result.status == ik.Status.CHECK_FAILED]
     assert failed and not any(result.proven for result in results if not result.success)
@@ -189,12 +184,7 @@ def test_a_pose_that_only_another_weighing_of_the_errors_meets_is_not_proven_unr
     ]
     assert not ik.solve(robot, T).proven
     q0 = [
-        4.533595416152678,
-        -3.297650369726543,
-        2.5729325800096166,
-        -0.5241857200729447,
-        -3.687207504761397,
-        -1.053630017,
-    ]
+        4.533595416152678, -3.297650369726543, 2.5729325800096166, -0.5241857200729447, -3.687207504761397, -1.053630017,
+    ]  # fmt: skip
     found = ik.solve(robot, T, "lm", q0=q0, restarts=1)  # its last descent ends at the pose that meets both
     assert found.success and max(robot.errors(found.q, T)) < 1e-6

@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from serial_arms import apart, urdf
+from serial_arms import apart, drawn
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption, UnknownSolver
+from ik_toolkit.errors import UnknownSolver
 from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.solvers.closed_form import describe_fit, fits, inspection, planar_2r
 
 PI = math.pi
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return ik.Robot.load("inspection_7dof")
 
 
 angle = st.floats(-3.1, 3.1)
@@ -44,9 +39,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
             0.0,
         ),
     ]
-    robot = ik.Robot.load(
-        urdf(joints, ((l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))), tip="tip"
-    )
+    robot = drawn(joints, (l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))
     assert fits(robot, KIND.position) == "planar-2r" and fits(robot, KIND.pose) is None
     q = np.array([q1, q2])
     tip = robot.fk(q).translation
@@ -86,7 +79,7 @@ def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, s
     for (where, turned), sign in zip(fixed, signs[2:], strict=True):
         joints.append(("continuous", where, turned, (0, 0, sign), -1.0, 1.0))
     # Flip axes 5 and 7 as whole frames too, and turn the tool anyhow.
-    robot = ik.Robot.load(urdf(joints, (tool, tool_rpy)), tip="tip")
+    robot = drawn(joints, tool, tool_rpy)
     assert fits(robot, KIND.pose) == "inspection", inspection.recognise(robot.chain)[1]
     q = np.array(twist)
     place = 0 if lift_first else 1
@@ -96,46 +89,35 @@ def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, s
     assert found.position_error.max() < 1e-9 and found.orientation_error.max() < 1e-9
 
 
-def test_what_does_not_fit_is_said_in_words(arm):
+def test_what_does_not_fit_is_said_in_words():
     panda_like = [("revolute", (0, 0, 0.1), (0, 0.7, 0), (0, 0, 1), -1.0, 1.0)] * 7
     wrong = {
-        "joints on the path": urdf(panda_like[:3], ((0.1, 0, 0), (0, 0, 0))),
-        "prismatic": urdf(
-            [panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], ((0.1, 0, 0), (0, 0, 0))
-        ),
-        "not parallel": urdf(panda_like[:2], ((0.1, 0, 0), (0, 0, 0))),
-        "coincide": urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0.1, 0, 0), (0, 0, 0))),
-        "tip lies on": urdf([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0, 0, 0.3), (0, 0, 0))),
+        "joints on the path": drawn(panda_like[:3], (0.1, 0, 0)),
+        "prismatic": drawn([panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], (0.1, 0, 0)),
+        "not parallel": drawn(panda_like[:2], (0.1, 0, 0)),
+        "coincide": drawn([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, (0.1, 0, 0)),
+        "tip lies on": drawn([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, (0, 0, 0.3)),
     }
-    for words, text in wrong.items():
-        robot = ik.Robot.load(text, tip="tip")
+    for words, robot in wrong.items():
         assert fits(robot, KIND.position) is None
         with pytest.raises(UnknownSolver, match=words):
             ik.solve(robot, [0.1, 0.0, 0.0], "planar-2r")
-    robot = ik.Robot.load(urdf(panda_like, ((0.1, 0, 0), (0, 0, 0))), tip="tip")
+    robot = drawn(panda_like, (0.1, 0, 0))
     with pytest.raises(UnknownSolver, match="lift"):
         ik.solve(robot, robot.fk(robot.home), "inspection")
     assert ik.solve(robot, robot.fk(robot.home)).solver == "lm"
-    with pytest.raises(InvalidOption, match="positions"):
-        ik.solve(arm, [0.3, 0.0, 0.8], "inspection")
-    with pytest.raises(InvalidOption, match="mask"):
-        ik.solve(arm, arm.fk(arm.home), "inspection", mask=(1, 1, 1, 0, 0, 0))
 
 
 def bent(angle):
     """A planar arm whose second axis is off parallel by an angle [rad]."""
     joint = ("revolute", (1, 0, 0), (angle, 0, 0), (0, 0, 1), -2.5, 2.5)
-    text = urdf([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -2.5, 2.5), joint], ((0.8, 0, 0), (0, 0, 0)))
-    return ik.Robot.load(text, tip="tip")
+    return drawn([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -2.5, 2.5), joint], (0.8, 0, 0))
 
 
 def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
     robot = bent(3e-5)
-    assert (
-        fits(robot, KIND.position) == "planar-2r"
-        and "3e-05" in describe_fit(robot)
-        and "exactly" in describe_fit(bent(0.0))
-    )
+    assert fits(robot, KIND.position) == "planar-2r"
+    assert "3e-05" in describe_fit(robot) and "exactly" in describe_fit(bent(0.0))
     rng = np.random.default_rng(3)
     for _ in range(50):
         q = robot.random_q(rng)
@@ -149,7 +131,8 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
         ik.solve(bent(1e-3), [1.0, 0.5, 0.0], "planar-2r")
 
 
-def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
+def test_an_inspection_arm_written_with_few_digits_is_solved():
+    arm = ik.Robot.load("inspection_7dof")
     text = arm.urdf.replace("1.5707963267948966", "1.5708")
     robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
     assert fits(robot, KIND.pose) == "inspection" and "approximately" in describe_fit(robot)
@@ -191,7 +174,7 @@ STRUCTURE = [  # column, shoulder, elbow and wrist of an arm without a lift, at 
 def test_each_part_of_the_inspection_structure_is_required(joint, moved, turned, words):
     def recognised(places):
         joints = [("continuous", where, angles, (0, 0, 1), -1.0, 1.0) for where, angles in places]
-        return inspection.recognise(ik.Robot.load(urdf(joints, ((0.1, 0, 0.2), (0, 0, 0.3))), tip="tip").chain)[1]
+        return inspection.recognise(drawn(joints, (0.1, 0, 0.2), (0, 0, 0.3)).chain)[1]
 
     assert recognised(STRUCTURE) == ""
     assert words in recognised([*STRUCTURE[:joint], (moved, turned), *STRUCTURE[joint + 1 :]])

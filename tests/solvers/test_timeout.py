@@ -11,6 +11,9 @@ from ik_toolkit.errors import InvalidOption
 from ik_toolkit.solvers import postprocess
 
 LONG = 600.0  # s: never used up
+each = pytest.mark.parametrize(
+    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
+)
 
 
 def targets(robot, number):
@@ -26,9 +29,7 @@ def same(one, other):
     return one.status == other.status and np.array_equal(one.q, other.q) and one.fk_evaluations == other.fk_evaluations
 
 
-@pytest.mark.parametrize(
-    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
-)
+@each
 def test_a_long_timeout_changes_nothing(name, solver):
     robot = robots.load(name)
     plain, timed = ik.Solver(robot, solver), ik.Solver(robot, solver, timeout=LONG)
@@ -38,9 +39,7 @@ def test_a_long_timeout_changes_nothing(name, solver):
         assert same(timed(T), answer)
 
 
-@pytest.mark.parametrize(
-    ("name", "solver"), [("panda", "transpose"), ("inspection_7dof", "auto"), ("hydrolek_7w", "lm")]
-)
+@each
 def test_a_limit_of_evaluations_repeats_what_a_timeout_found(name, solver, monkeypatch):
     robot = robots.load(name)
     ticks = itertools.count(0.0, 1e-3)  # each look at the clock is a millisecond after the last
@@ -79,24 +78,6 @@ def test_what_is_no_time_is_refused(timeout):
 def test_calls_that_promise_the_same_answer_every_time_take_no_timeout():
     robot = robots.load("panda")
     T = robot.fk(robot.home).homogeneous
-    with pytest.raises(InvalidOption, match="timeout or max_evaluations, not both"):
-        ik.solve(robot, T, timeout=1.0, max_evaluations=10)
-    for call in (ik.solve_batch, ik.solve_path):
+    for call, targets in ((ik.solve_batch, T[None]), (ik.solve_path, T[None]), (ik.solve_all, T)):
         with pytest.raises(InvalidOption, match="timeout"):
-            call(robot, T[None], timeout=1.0)
-    with pytest.raises(InvalidOption, match="timeout"):
-        ik.solve_all(robot, T, timeout=1.0)
-
-
-def test_a_target_from_joint_values_is_named():
-    robot = robots.load("panda")
-    with pytest.raises(InvalidOption, match=r"robot\.fk\(q\)"):
-        ik.solve(robot, robot.fk(robot.home), from_q=robot.home)
-
-
-def test_a_result_as_a_joint_state():
-    robot = robots.load("panda")
-    result = ik.solve(robot, robot.fk(robot.home))
-    said = result.to_ros()
-    assert said["name"] == list(robot.joint_names) and said["position"] == result.q.tolist()
-    assert said.keys() == {"header", "name", "position", "velocity", "effort"}
+            call(robot, targets, timeout=1.0)

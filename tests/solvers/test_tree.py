@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pinocchio as pin
 import pytest
+import robots
 from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
@@ -15,11 +16,6 @@ from ik_toolkit.robot.tree import Tree
 @pytest.fixture(scope="module", params=TREES)
 def tree(request):
     return tree_of(request.param)
-
-
-@pytest.fixture(scope="module")
-def brokk():
-    return tree_of("brokk_hydrolek")
 
 
 def test_reachable_targets_are_solved(tree):
@@ -45,10 +41,6 @@ def test_tips_may_be_given_in_any_order(tree):
     for _ in range(5):
         T = poses(tree, tree.random_q(rng))
         result = solver(T)
-        measured = tree.errors(result.q, T)
-        assert np.allclose(list(result.position_errors.values()), [e[0] for e in measured], atol=1e-9)
-        assert np.allclose(list(result.orientation_errors.values()), [e[1] for e in measured], atol=1e-7)
-        assert result.position_error == max(result.position_errors.values())
         again = solver(dict(zip(reversed(tree.tips), reversed(T), strict=True)))
         assert again.q.tobytes() == result.q.tobytes() and again.fk_evaluations == result.fk_evaluations
 
@@ -67,13 +59,6 @@ def test_a_tip_left_out_misses_nothing(brokk):
                 assert result.position_errors[other] == 0.0 and result.orientation_errors[other] is None
                 assert result.to_dict()["tips"][other] == {"position_error": None, "orientation_error": None}
                 assert result.success and result.position_error <= 1e-6
-
-
-def test_returns_at_once_at_a_solved_start(tree):
-    q = tree.random_q(np.random.default_rng(22))
-    result = ik.solve(tree, poses(tree, q), q0=q)
-    assert result.success and result.iterations == 0 and result.restarts == 0 and result.fk_evaluations == 1
-    assert np.allclose(result.q, q, atol=1e-15)
 
 
 def test_positions_and_poses_may_be_mixed(tree):
@@ -111,27 +96,12 @@ def test_a_shared_joint_is_moved_by_either_target(brokk):
     assert ik.solve(brokk, poses(brokk, first)).success
 
 
-def test_unreachable_names_the_tip(tree):
-    T = poses(tree, tree.home)
-    T[1][:3, 3] = (50.0, 0.0, 0.0)
-    result = ik.solve(tree, T)
-    assert result.status == ik.Status.UNREACHABLE and not result.success
-    left, right = tree.tips
-    assert f"{right} by" in result.message and f"{left} by" not in result.message
-    assert tree.outside(result.q) == [] and result.position_errors[right] > 40.0
-    assert result.position_errors[left] < 1.0 and result.restarts <= 2
-    with pytest.raises(ik.NotSolved, match="UNREACHABLE"):
-        result.raise_for_status()
-
-
 def test_without_limits_a_slide_has_no_reach_bound():
-    links = "".join(f'<link name="{name}"/>' for name in ("base", "left", "right"))
     slides = "".join(
-        f'<joint name="{tip}_slide" type="prismatic"><parent link="base"/><child link="{tip}"/><axis xyz="{axis}"/>'
-        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        robots.joint(f"{tip}_slide", "prismatic", "base", tip, axis, xyz="0 0 0", limits=(0, 1))
         for tip, axis in (("left", "1 0 0"), ("right", "0 1 0"))
     )
-    tree = ik.Tree.load(f'<robot name="gantry">{links}{slides}</robot>', tips=["left", "right"])
+    tree = ik.Tree.load(f'<robot name="gantry"><link name="base"/>{slides}</robot>', tips=["left", "right"])
     targets = [(3.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
     assert ik.solve(tree, targets).status == ik.Status.UNREACHABLE
     result = ik.solve(tree, targets, limits=False)
@@ -176,24 +146,14 @@ def test_a_success_that_pinocchio_does_not_confirm_is_none(brokk, monkeypatch):
     assert ik.Solver(brokk, check=False)(T).success
 
 
-def test_budgets_history_and_seed(brokk):
+def test_the_history_has_the_largest_errors_of_any_tip_and_the_seed_changes_the_search(brokk):
+    """What a budget of evaluations and iterations allows is in the contract tests, on two arms."""
     T = poses(brokk, brokk.random_q(np.random.default_rng(30)))
-    for budget in (1, 3):
-        result = ik.solve(brokk, T, max_iterations=budget, restarts=0, tolerance=1e-12)
-        assert result.iterations <= budget and result.restarts == 0
-    spent = ik.solve(brokk, T, max_evaluations=4, tolerance=1e-14)
-    assert spent.fk_evaluations <= 5 and spent.status == ik.Status.ITERATION_LIMIT
-    result = ik.solve(brokk, T, restarts=2, max_iterations=2, tolerance=1e-14)
-    assert result.restarts == 2 and result.iterations == 6
-    result = ik.solve(brokk, T, restarts=0, history=True, max_iterations=25)
-    history = result.history
-    assert len(history["q"]) == result.iterations + 1
-    assert history["position_error"].min() <= result.position_error + 1e-14  # one is the kernel's, one Pinocchio's
+    history = ik.solve(brokk, T, restarts=0, history=True, max_iterations=25).history
     for q, position, angle in zip(history["q"], history["position_error"], history["orientation_error"], strict=True):
         measured = brokk.errors(q, T)
         assert abs(max(e[0] for e in measured) - position) < 1e-12
         assert abs(max(e[1] for e in measured) - angle) < 1e-7
-        assert brokk.outside(q) == []
     impossible = [x.copy() for x in T]
     impossible[1][:3, 3] += (0.0, 0.5, 0.0)
     one, same, other = (ik.solve(brokk, impossible, restarts=30, seed=seed) for seed in (1, 1, 2))
@@ -201,21 +161,15 @@ def test_budgets_history_and_seed(brokk):
     assert one.iterations != other.iterations
 
 
-def test_weights_and_limits(brokk):
-    T = poses(brokk, brokk.random_q(np.random.default_rng(31)))
-    near = np.clip(brokk.home + 0.03, brokk.lower, brokk.upper)
-    weights = np.ones(brokk.n)
-    weights[0] = 0.0
-    held = ik.solve(brokk, [x[:3, 3] for x in poses(brokk, near)], q0=brokk.home, joint_weights=weights, restarts=0)
-    assert held.success and held.q[0] == brokk.home[0]
-    assert ik.solve(brokk, T, joint_weights=weights, restarts=5).q[0] == brokk.home[0]
+def test_limits_and_starts_outside_them(brokk):
     beyond = brokk.upper + 0.05
     assert not ik.solve(brokk, poses(brokk, beyond), restarts=5).success
     result = ik.solve(brokk, poses(brokk, beyond), q0=brokk.upper, limits=False, restarts=0)
     assert result.success and brokk.outside(result.q)
+    outside = np.concatenate([[3.0], brokk.home[1:]])
     with pytest.raises(errors.InvalidConfiguration, match="turret"):
-        ik.solve(brokk, T, q0=np.concatenate([[3.0], brokk.home[1:]]), q0_outside="refuse")
-    assert "clamped" in ik.solve(brokk, T, q0=np.concatenate([[3.0], brokk.home[1:]])).notice
+        ik.solve(brokk, poses(brokk, brokk.home), q0=outside, q0_outside="refuse")
+    assert "clamped" in ik.solve(brokk, poses(brokk, brokk.home), q0=outside).notice
 
 
 def test_lengths_have_no_unit_in_the_kernel():
@@ -254,14 +208,18 @@ def test_nearly_rigid_targets_are_projected_and_said(brokk):
     assert result.success and result.notice.startswith("right_tip:")
 
 
+EACH = "takes one target for each of left_tip, right_tip"
+
+
 @pytest.mark.parametrize(
     ("targets", "kind", "words"),
     [
-        (lambda T: {}, errors.InvalidTarget, "at least one of left_tip, right_tip"),
+        (lambda T: {"left_tip": None}, errors.InvalidTarget, "give a target for at least one of left_tip, right_tip"),
         (lambda T: {"left_tip": T[0], "rigt_tip": T[1]}, errors.FrameNotFound, "Did you mean 'right_tip'"),
         (lambda T: [T[0]], errors.InvalidTarget, "got 1"),
-        (lambda T: [*T, T[0]], errors.InvalidTarget, "got 3"),
-        (lambda T: T[0], errors.InvalidTarget, "not a single one"),
+        (lambda T: [*T, T[0]], errors.InvalidTarget, rf"{EACH}; got 3 \(a dict may leave tips out: they are free\)"),
+        (lambda T: T[0], errors.InvalidTarget, rf"{EACH} \(a dict, or a list in this order\), not a single one"),
+        (lambda T: T[0][:3, 3], errors.InvalidTarget, "not a single one"),
         (lambda T: pin.SE3(T[0]), errors.InvalidTarget, "not a single one"),
         (lambda T: 3.0, errors.InvalidTarget, "left_tip, right_tip"),
         (lambda T: [T[0], np.full(3, np.nan)], errors.InvalidTarget, "right_tip: .*finite"),

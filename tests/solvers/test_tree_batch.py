@@ -1,8 +1,10 @@
 """Batches for several tips: target formats, identical bytes, row contents, rejected input."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
+import pinocchio as pin
 import pytest
-import robots
 import trees
 
 import ik_toolkit as ik
@@ -13,8 +15,8 @@ TIPS = ["left_tip", "right_tip"]
 
 
 @pytest.fixture(scope="module")
-def tree():
-    return ik.Tree.load("brokk_hydrolek", tips=TIPS)
+def tree(brokk):
+    return brokk
 
 
 def reachable(tree, count, seed=0):
@@ -32,7 +34,8 @@ def test_rows_are_those_of_single_solves_and_pinocchio_agrees(tree):
         assert alone.q.tobytes() == many.q[k].tobytes() and alone.status == many.status[k]
         assert alone.position_errors == {tip: errors[k] for tip, errors in many.position_errors.items()}
         assert many[k].message == alone.message
-    assert many.status[7] == ik.Status.UNREACHABLE and "right_tip by" in many[7].message
+    assert many.status[7] == ik.Status.UNREACHABLE and many.position_errors["left_tip"][7] < 1.0
+    assert "right_tip by" in many[7].message and "left_tip by" not in many[7].message
     good = np.delete(np.arange(len(T)), 7)
     assert many.success[good].all()
     for k in good:
@@ -50,6 +53,8 @@ def test_any_form_and_any_cut_gives_the_same_bytes(tree):
     assert ik.solve_batch(tree, [list(pair) for pair in T]).table.tobytes() == whole
     assert ik.solve_batch(tree, [dict(zip(TIPS, pair, strict=True)) for pair in T]).table.tobytes() == whole
     assert np.concatenate([part.table for part in solve_parts(tree, T)]).tobytes() == whole
+    with ThreadPoolExecutor(2) as pool:
+        assert ik.solve_batch(tree, T, executor=pool).table.tobytes() == whole
 
 
 def test_positions_mixtures_and_free_tips(tree):
@@ -61,10 +66,8 @@ def test_positions_mixtures_and_free_tips(tree):
     assert mixed.orientation_errors["left_tip"].max() < 1e-6
     one = ik.solve_batch(tree, {"right_tip": T[:, 1]})
     assert one.success.all() and one.orientation_errors["left_tip"] is None
-    for k in range(len(T)):
-        assert np.abs(tree.fk(one.q[k])["right_tip"].homogeneous - T[k, 1]).max() < 3e-6
-        alone = ik.solve(tree, {"right_tip": T[k, 1]})
-        assert alone.success and alone.position_errors["left_tip"] == 0.0
+    for q, pose in zip(one.q, T[:, 1], strict=True):
+        assert np.abs(tree.fk(q)["right_tip"].homogeneous - pose).max() < 3e-6
 
 
 def test_none_frees_a_tip_as_it_does_in_a_single_solve(tree):
@@ -87,18 +90,26 @@ def test_collisions_and_objective_are_those_of_single_solves(tree):
 @pytest.mark.parametrize(
     ("targets", "error", "words"),
     [
-        (np.zeros((4, 4, 4)), InvalidTarget, r"\(N, 2, 4, 4\)"),
-        (np.zeros((4, 3, 3)), InvalidTarget, "left_tip, right_tip"),
+        (np.zeros((4, 3, 3)), InvalidTarget, r"targets of left_tip, right_tip must be numbers of shape \(N, 2, 4, 4\)"),
+        (np.zeros((2, 4, 4)), InvalidTarget, r"\(N, 2, 4, 4\)"),
         ({"left": np.zeros((2, 3))}, FrameNotFound, "Did you mean 'left_tip'"),
-        ({}, InvalidTarget, "at least one of"),
-        ({"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))}, InvalidTarget, "left_tip 2, right_tip 3"),
+        ({}, InvalidTarget, "a dict of targets needs at least one of left_tip, right_tip"),
+        (
+            {"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))},
+            InvalidTarget,
+            "same number of targets, not left_tip 2, right_tip 3",
+        ),
         ([{"left_tip": [0, 0, 0]}, {"left": [0, 0, 0]}], FrameNotFound, "Did you mean 'left_tip'"),
         (
             [{"left_tip": [0, 0, 0]}, {"right_tip": [0, 0, 0]}],
             InvalidTarget,
             "target 1 is of right_tip and target 0 of left_tip",
         ),
-        ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets must be"),
+        (
+            {"left_tip": np.zeros((2, 5))},
+            InvalidTarget,
+            r"left_tip: targets must be numbers of shape \(N, 4, 4\) or \(N, 3\)",
+        ),
         ({"left_tip": np.full((2, 3), np.nan)}, InvalidTarget, "target 0 of left_tip"),
         ({"left_tip": None, "right_tip": None}, InvalidTarget, "at least one of"),
         ({"left_tip": [[0.0, 0.0, "up"]]}, InvalidTarget, "left_tip: targets must be"),
@@ -116,28 +127,7 @@ def test_the_kind_of_the_targets_may_not_change(tree):
         ik.solve_batch(tree, iter([T, T[:, :, :3, 3]]))
 
 
-def test_workers_take_trees(tree):
-    from concurrent.futures import ThreadPoolExecutor
-
-    T = reachable(tree, 30, seed=6)
-    with ThreadPoolExecutor(2) as pool:
-        assert ik.solve_batch(tree, T, executor=pool).table.tobytes() == ik.solve_batch(tree, T).table.tobytes()
-
-
-def test_robots_of_the_library():
-    for name, tips in (
-        ("baxter", ["left_gripper", "right_gripper"]),
-        ("tiago_dual", ["arm_left_tool_link", "arm_right_tool_link"]),
-    ):
-        robots.have_data() or pytest.skip("example-robot-data is not installed")
-        tree = ik.Tree.load(name, tips=tips)
-        many = ik.solve_batch(tree, reachable(tree, 200, seed=7), check=0.2)
-        assert many.success.mean() > 0.99
-
-
 def test_raw_errors_are_what_is_left_before_anything_is_left_out(tree):
-    import pinocchio as pin
-
     T = reachable(tree, 1, seed=8)[0]
     result = ik.solve(tree, T, slack={"left_tip": [0.05, 0.05, 0.05, 0.2, 0.2, 0.2]}, restarts=0, q0=tree.home)
     assert set(result.raw_errors) == set(TIPS)
