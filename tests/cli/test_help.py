@@ -21,6 +21,7 @@ def test_help_is_whole(name, width, capsys, monkeypatch):
     assert "…" not in said and "<bool>" not in said and "[[" not in said and "{" not in said
     options = said.partition("Examples:")[0]
     assert max(map(len, options.splitlines())) <= width
+    assert name or all(command in options.split() for command in NAMES)
     for one in ROOT.commands[name].params if name else ():
         if not getattr(one, "hidden", False):
             assert all(part in options.split() or f"{part}," in options.split() for part in one.opts if part[:1] == "-")
