@@ -6,20 +6,13 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from chromium import NEEDED, PATIENCE, api, fresh_page, plainly_lit, started, until
+from chromium import PATIENCE, api, fresh_page, plainly_lit, until
 
 import ik_toolkit as ik
 
-pytestmark = NEEDED
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 
 READY = 300.0  # s; the tracker may have to be compiled first
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with started() as made:
-        yield made
 
 
 def picture(page):
@@ -176,17 +169,6 @@ def drag(page, desk, k, far, axis=1):
     assert desk.worker.idle()
     moved = handle.target[:3, 3] - T[:3, 3]
     assert moved @ T[:3, axis] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, axis])) < 1e-6  # along the arrow
-
-
-def test_dragging_the_target_moves_the_robot(browser, panel):
-    with fresh_page(browser) as page:
-        hand = PanelPage(page, panel.url)
-        (desk,) = panel.desks.values()
-        hand.settle(desk)
-        drag(page, desk, 0, 0.4)
-        hand.wait_for("Converged")
-        hand.wait_for_pose(desk.stage.handles[0].target)
-        assert page.errors == []
 
 
 def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
