@@ -22,7 +22,7 @@ def test_solutions_to_a_table(run, tmp_path):
 
 @pytest.mark.parametrize("what", ["robots", "solvers"])
 def test_lists_to_a_table(run, tmp_path, what):
-    file = tmp_path / "list.csv"
+    file = tmp_path / "list.CSV"
     code, out, _ = run(what, "--json", "--csv", file)
     assert code == 0 and [row["name"] for row in csv_rows(file)] == [row["name"] for row in json.loads(out)[what]]
 

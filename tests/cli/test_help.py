@@ -22,7 +22,10 @@ def test_help_is_whole(name, width, capsys, monkeypatch):
     options = said.partition("Examples:")[0]
     assert max(map(len, options.splitlines())) <= width
     assert name or all(command in options.split() for command in NAMES)
-    for one in ROOT.commands[name].params if name else ():
+    params = ROOT.commands[name].params if name else []
+    names = [part for one in params for part in one.opts + one.secondary_opts]
+    assert len(set(names)) == len(names)
+    for one in params:
         if not getattr(one, "hidden", False):
             assert all(part in options.split() or f"{part}," in options.split() for part in one.opts if part[:1] == "-")
 

@@ -75,9 +75,8 @@ def test_problems_are_reachable_and_starts_are_what_they_are_called(arm):
 
 def test_rows_and_what_is_left_out(arm):
     seen = []
-    found = ik.benchmark(
-        [arm, "planar_2r"], ["lm", "planar-2r", "newton"], targets=12, progress=lambda *k: seen.append(k)
-    )
+    names = ["lm", "planar-2r", "newton"]
+    found = ik.benchmark([arm, "planar_2r"], names, targets=12, progress=lambda *k: seen.append(k))
     wanted = [("hydrolek_7w", name, "pose") for name in ("lm", "newton")]
     wanted += [("planar_2r", name, "position") for name in ("lm", "planar-2r", "newton")]
     assert [(row.robot, row.solver, row.task) for row in found.rows] == wanted
