@@ -47,12 +47,6 @@ def test_targets_are_positions_poses_by_angles_or_by_quaternion(answer, brokk, p
     assert list(found["target"]) == [LEFT, RIGHT] and found["tips"][LEFT]["orientation_error"] < 1e-6
 
 
-def test_numbers_of_a_target_may_stand_apart(answer, poses):
-    T, U = poses[0]
-    apart = ["--target", f"{LEFT}:{T[0, 3]:.9f}", f"{T[1, 3]:.9f}", f"{T[2, 3]:.9f}", *words(RIGHT, U[:3, 3])]
-    assert answer(*apart)["q"] == answer(*words(LEFT, np.round(T[:3, 3], 9)), *words(RIGHT, U[:3, 3]))["q"]
-
-
 def test_a_tip_without_a_target_is_free(answer, run, brokk, poses):
     target = words(LEFT, poses[1][0][:3, 3])
     found = answer(*target)

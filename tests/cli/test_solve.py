@@ -94,7 +94,7 @@ def test_solve_a_pose_by_its_other_words(told, form):
         "--matrix 12": ["--matrix", *matrix[:3].ravel()],
         "--matrix 16": ["--matrix", ", ".join(map(repr, matrix.ravel().tolist()))],
         "--quat-wxyz": ["--xyz", *wanted.translation, "--quat-wxyz", quat.w, quat.x, quat.y, quat.z],
-        "--target": ["--target", "tool:" + ",".join(map(str, matrix[:3].ravel()))],
+        "--target": ["--target", f"tool:{matrix[0, 0]}", *matrix[:3].ravel()[1:]],
         "--ee": ["--ee", "tool", "--matrix", *matrix[:3].ravel()],
     }[form]
     answer = told("solve", "hydrolek_7w", *words)
@@ -133,7 +133,7 @@ def test_unreachable_target_says_by_how_much_and_returns_one(told, run):
     assert told(*far, code=1)["status"] == "UNREACHABLE"
 
 
-@pytest.mark.parametrize("solver", ["lm", "dls", "ccd", "state-space"])
+@pytest.mark.parametrize("solver", ["dls", "ccd", "state-space"])
 def test_solve_with_a_named_solver(told, solver):
     answer = told(*SOLVE, "-s", solver, "--tolerance", "1e-3")
     assert answer["solver"] == solver and answer["position_error"] < 1e-3
