@@ -165,7 +165,14 @@ def drag(page, desk, k, far, axis=1):
     arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, axis]
     at, to = (on_screen(desk, canvas, handle.gizmo.position + f * arrow) for f in (0.8, 0.8 + far))
     pull(page, at, to)
-    until(page, lambda: not np.array_equal(handle.target, T))
+
+    def arrived():
+        """Whether the page, which may be slow, has sent all steps of the drag."""
+        before = handle.target.copy()
+        page.wait_for_timeout(300)
+        return np.array_equal(handle.target, before) and not np.array_equal(before, T)
+
+    until(page, arrived)
     assert desk.worker.idle()
     moved = handle.target[:3, 3] - T[:3, 3]
     assert moved @ T[:3, axis] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, axis])) < 1e-6  # along the arrow
