@@ -190,6 +190,7 @@ def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
         hand.wait_for("The closest pose is")
         assert desk.worker.idle() and "gap" in desk.stage.lines
         tip, target = session.poses()["tool"], desk.stage.handles[0].target
+        hand.wait_for_pose(tip)
         canvas = page.locator("canvas").first.bounding_box()
         until(page, lambda: inside(canvas, on_screen(desk, canvas, desk.stage.handles[0].gizmo.position)))
         assert np.linalg.norm(tip[:3, 3] - target[:3, 3]) > 0.1  # the arm did not stand still before it
