@@ -1,6 +1,7 @@
 """Shared test settings: generated cases are the same in every run, and no test depends on its run time."""
 
 import gc
+import json
 import os
 import sys
 from pathlib import Path
@@ -89,5 +90,29 @@ def run(capsys, monkeypatch):
         code = main([str(argument) for argument in arguments])
         captured = capsys.readouterr()
         return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def told(run):
+    """Run a command line with --json, which ends with the code that is expected; returns what it prints, read."""
+
+    def call(*arguments, code=0):
+        ended, out, err = run(*arguments, "--json")
+        assert ended == code, err
+        return json.loads(out)
+
+    return call
+
+
+@pytest.fixture
+def refused(run):
+    """Run a command line that is refused in one sentence, with exit code 2; returns the sentence."""
+
+    def call(*arguments):
+        code, out, err = run(*arguments)
+        assert code == 2 and not out and err.startswith("ik: ") and err.count("\n") == 1, err
+        return err
 
     return call

@@ -84,6 +84,12 @@ SLIDES = urdf(
     dict(kind="revolute", rpy=".4 1 0"),
     name="slides_mix",
 )
+FORK = (  # two arms of a joint each
+    '<robot name="fork"><link name="a"/>'
+    + joint("jb", "revolute", "a", "b", xyz="1 0 0", limits=(-1.0, 1.0))
+    + joint("jc", "revolute", "a", "c", xyz="1 0 0", limits=(-1.0, 1.0))
+    + "</robot>"
+)
 BALLS_MIMIC = MIMIC  # with a ball on each link
 for _k, _radius in enumerate((0.05, 0.05, 0.08, 0.06, 0.05, 0.04, 0.05, 0.04, 0.05)):
     BALLS_MIMIC = BALLS_MIMIC.replace(

@@ -18,9 +18,7 @@ def test_angles_that_look_like_degrees_are_doubted_once(run, caplog):
     for _ in range(3):
         robot.fk([12.5, 45])
         ik.pose((1, 0, 0), rpy=(12.5, -12.5, 0))
-    assert [record.getMessage() for record in caplog.records] == [
-        "q, joint joint_2: 45 rad is 7.16 turns; were degrees meant?"
-    ]
+    assert caplog.messages == ["q, joint joint_2: 45 rad is 7.16 turns; were degrees meant?"]
     assert ik.Robot.load("cartesian_pp").fk([90, 45]) is not None and len(caplog.records) == 1
 
 
@@ -45,9 +43,7 @@ def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
     assert ik.solve(robot, robot.fk(q), "lm", q0=q, mask=(1, 1, 1, 0, 0, 0)).success
     assert not caplog.records
     robot.fk([45, 0.5])
-    assert [record.getMessage() for record in caplog.records] == [
-        "q, joint j0: 45 rad is 7.16 turns; were degrees meant?"
-    ]
+    assert caplog.messages == ["q, joint j0: 45 rad is 7.16 turns; were degrees meant?"]
 
 
 def test_a_tolerance_of_half_a_turn_is_doubted(caplog):
@@ -55,9 +51,7 @@ def test_a_tolerance_of_half_a_turn_is_doubted(caplog):
     errors.DOUBTED.clear()
     ik.solve(arm, arm.fk(arm.home), orientation_tolerance=5)
     ik.solve(arm, arm.fk(arm.home), orientation_tolerance=0.1)
-    assert [record.getMessage() for record in caplog.records] == [
-        "orientation_tolerance: 5 rad is 0.796 turns; were degrees meant?"
-    ]
+    assert caplog.messages == ["orientation_tolerance: 5 rad is 0.796 turns; were degrees meant?"]
 
 
 def test_the_answer_to_a_partial_target_is_not_doubted_as_if_typed(caplog):

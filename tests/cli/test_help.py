@@ -21,7 +21,11 @@ def test_help_is_whole(name, width, capsys, monkeypatch):
     assert "…" not in said and "<bool>" not in said and "[[" not in said and "{" not in said
     options = said.partition("Examples:")[0]
     assert max(map(len, options.splitlines())) <= width
-    for one in ROOT.commands[name].params if name else ():
+    assert name or all(command in options.split() for command in NAMES)
+    params = ROOT.commands[name].params if name else []
+    names = [part for one in params for part in one.opts + one.secondary_opts]
+    assert len(set(names)) == len(names)
+    for one in params:
         if not getattr(one, "hidden", False):
             assert all(part in options.split() or f"{part}," in options.split() for part in one.opts if part[:1] == "-")
 

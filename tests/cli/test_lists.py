@@ -8,58 +8,44 @@ import numpy as np
 import pytest
 from folders import ROOT
 from rich.cells import cell_len
-from robots import joint
+from robots import FORK, joint
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.cli.output import show, table
 
 DH = str(ROOT / "urdf" / "dh" / "inspection_7dof.toml")
 
 
-def test_robots_lists_the_shipped_ones(run):
+def test_robots_lists_the_shipped_ones(told, run):
     code, out, _ = run("robots")
-    names = {row["name"] for row in json.loads(run("robots", "--json")[1])["robots"] if row["shipped"]}
+    names = {row["name"] for row in told("robots")["robots"] if row["shipped"]}
     assert code == 0 and {"hydrolek_7w", "brokk_hydrolek", "inspection_7dof"} <= names
     assert all(name in out for name in names)
 
 
-def test_info_shows_joints_limits_and_the_dh_table(run):
+def test_info_shows_joints_limits_and_the_dh_table(told, run):
     code, out, _ = run("info", "hydrolek_7w", "--deg")
-    assert code == 0
-    for word in (
-        "azimuth_yaw",
-        "-27.0700",
-        "40.6000",
-        "base_link -> tool",
-        "D-H table, classic",
-        "q - 90.0000",
-        "Burrell",
-    ):
-        assert word in out
-    info = json.loads(run("info", "hydrolek_7w", "--json")[1])
-    robot = ik.Robot.load("hydrolek_7w")
+    words = ("azimuth_yaw", "-27.0700", "40.6000", "base_link -> tool", "D-H table, classic", "q - 90.0000", "Burrell")
+    assert code == 0 and [word for word in words if word not in out] == []
+    info, robot = told("info", "hydrolek_7w"), ik.Robot.load("hydrolek_7w")
     assert [joint["upper"] for joint in info["joints"]] == robot.upper.tolist() and info["reach"] == robot.reach
     assert info["dh"]["rows"][1]["a"] == 0.5234 and "at most 1.44" in out
 
 
-def test_info_of_a_robot_with_two_tips_shows_both(run):
+def test_info_of_a_robot_with_two_tips_shows_both(told, run):
     code, out, _ = run("info", "brokk_hydrolek")
     assert code == 0 and "world -> left_tip" in out and "world -> right_tip" in out
-    assert [arm["tip"] for arm in json.loads(run("info", "brokk_hydrolek", "--json")[1])["arms"]] == [
-        "left_tip",
-        "right_tip",
-    ]
+    assert [arm["tip"] for arm in told("info", "brokk_hydrolek")["arms"]] == ["left_tip", "right_tip"]
 
 
-def test_solvers_lists_every_row_and_the_parameters_of_one(run):
+def test_solvers_lists_every_row_and_the_parameters_of_one(told, run):
     from ik_toolkit.solvers.rows import ROWS
 
     code, out, _ = run("solvers")
     assert code == 0 and all(row.name in out for row in ROWS)
     code, out, _ = run("solvers", "lm")
     assert code == 0 and "damping" in out and "0.02" in out and "Sugihara" in out
-    shown = json.loads(run("solvers", "pid", "--json")[1])
+    shown = told("solvers", "pid")
     assert [parameter["name"] for parameter in shown["parameters"]] == list(ik.PID._fields)
     assert shown["options"]["restarts"] == 0
 
@@ -73,7 +59,7 @@ def test_dh_writes_a_urdf_that_loads(run, tmp_path):
     assert run("dh", DH)[1] == file.read_text()
 
 
-def test_check_finds_nothing_or_says_what(run, tmp_path):
+def test_check_finds_nothing_or_says_what(told, run, tmp_path):
     assert run("check", "hydrolek_7w")[0] == 0
     file = tmp_path / "bad.urdf"
     file.write_text(
@@ -81,15 +67,13 @@ def test_check_finds_nothing_or_says_what(run, tmp_path):
     )
     code, out, _ = run("check", file)
     assert code == 1 and "error" in out and "joint 'j'" in out
-    found = json.loads(run("check", file, "--json")[1])
+    found = told("check", file, code=1)
     assert not found["loadable"] and found["errors"] >= 1 and found["findings"][0]["severity"] == "error"
-    file.write_text(
-        file.read_text().replace("<parent", "\n<origin rpv='0 0 1'/><parent").replace("link='b'", "link='x'")
-    )
-    file.write_text(file.read_text().replace("<joint", "<link name='x'/><joint").replace("fixed", "continuous"))
+    text = file.read_text().replace("<parent", "\n<origin rpv='0 0 1'/><parent").replace("link='b'", "link='x'")
+    file.write_text(text.replace("<joint", "<link name='x'/><joint").replace("fixed", "continuous"))
     code, out, err = run("check", file)
     assert code == 0 and "rpv=" in out and "warning       2" in out and not err
-    (found,) = json.loads(run("check", file, "--json")[1])["findings"]
+    (found,) = told("check", file)["findings"]
     assert found["line"] == 2 and found["at_load"] and "rpv= of <origin>" in found["problem"]
 
 
@@ -110,12 +94,12 @@ def test_check_says_what_loading_says(run, tmp_path, changed):
     file = tmp_path / "arm.urdf"
     file.write_text(bent(**changed))
     code, out, err = run("check", file, "--json")
-    told = json.loads(out)
-    problems = [one["problem"] for one in told["findings"]]
+    found = json.loads(out)
+    problems = [one["problem"] for one in found["findings"]]
     loaded = run("solve", file, "--xyz", "0.4", "0", "0.3", "--json")
-    assert not err and told["loadable"] == (code == 0) == (loaded[0] != 2)
+    assert not err and found["loadable"] == (code == 0) == (loaded[0] != 2)
     if code:
-        assert told["errors"] == 1 and loaded[2].strip() == f"ik: {problems[0]}"
+        assert found["errors"] == 1 and loaded[2].strip() == f"ik: {problems[0]}"
     else:
         assert problems == list(ik.Robot.load(file).notes) and bool(problems) == bool(changed)
 
@@ -126,33 +110,24 @@ def test_check_refuses_what_has_nothing_to_move(run, tmp_path):
     assert run("check", file)[0] == 1 and run("info", file)[0] == 2
 
 
-def test_check_expands_xacro(run, tmp_path):
+XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="parent" default="nobody"/>
+<xacro:arg name="prefix" default="left_"/><link name="a"/><link name="$(arg prefix)b"/>
+<joint name="$(arg prefix)j" type="continuous"><parent link="$(arg parent)"/><child link="$(arg prefix)b"/></joint></robot>"""
+
+
+def test_xacro_is_expanded_with_arguments_that_may_be_empty(run, tmp_path):
+    """Prefixes and suffixes of names often are."""
     pytest.importorskip("xacro")
-    file = tmp_path / "arm.urdf.xacro"
-    file.write_text(
-        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="parent" default="nobody"/>'
-        '<link name="a"/><link name="b"/>'
-        '<joint name="j" type="continuous"><parent link="$(arg parent)"/><child link="b"/></joint></robot>'
-    )
+    file, parent = tmp_path / "arm.urdf.xacro", ("--xacro-arg", "parent:=a")
+    file.write_text(XACRO)
     code, out, _ = run("check", file)
     assert code == 1 and "nobody" in out
     assert "the lines are those of the URDF that ik convert writes" in out
-    assert run("check", file, "--xacro-arg", "parent:=a")[0] == 0
-
-
-def test_a_xacro_argument_may_be_empty(run, tmp_path):
-    """Prefixes and suffixes of names often are."""
-    pytest.importorskip("xacro")
-    file = tmp_path / "arm.urdf.xacro"
-    file.write_text(
-        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="prefix" default="left_"/>'
-        '<link name="a"/><link name="$(arg prefix)b"/>'
-        '<joint name="$(arg prefix)j" type="continuous"><parent link="a"/><child link="$(arg prefix)b"/></joint></robot>'
-    )
-    assert "left_j" in run("info", file)[1]
-    code, out, _ = run("info", file, "--xacro-arg", "prefix:=")
+    assert run("check", file, *parent)[0] == 0
+    assert "left_j" in run("info", file, *parent)[1]
+    code, out, _ = run("info", file, *parent, "--xacro-arg", "prefix:=")
     assert code == 0 and "left_j" not in out
-    assert run("info", file, "--xacro-arg", "prefix")[0] == 2
+    assert run("info", file, *parent, "--xacro-arg", "prefix")[0] == 2
 
 
 def test_check_says_what_an_mjcf_loses(run, tmp_path):
@@ -167,35 +142,30 @@ def test_check_says_what_an_mjcf_loses(run, tmp_path):
     assert code == 0 and "joint 'j1' has no limits, as in MuJoCo" in said and "range 60 0" in said and "j2" not in said
 
 
-def test_doctor_finds_this_machine_healthy(run):
-    code, out, _ = run("doctor", "--json")
-    checks = {row["what"]: row["state"] for row in json.loads(out)["checks"]}
-    assert code == 0 and checks["pin"] == checks["robots"] == checks["pinocchio"] == "ok"
+def test_doctor_finds_this_machine_healthy(told):
+    checks = {row["what"]: row["state"] for row in told("doctor")["checks"]}
+    assert checks["pin"] == checks["robots"] == checks["pinocchio"] == "ok"
     assert {"extra view", "extra panel", "extra plots", "extra tune"} <= set(checks)
 
 
-def installed(monkeypatch, package, version):
-    """Let a package look as installed in a version, or (None) as not installed."""
+@pytest.mark.parametrize(
+    ("package", "version", "ends", "says"),
+    [
+        ("viser", None, 0, "no viser; run: pip install viser"),
+        ("pinocchio", "0.4", 1, "pip uninstall pinocchio"),  # another package, which hides Pinocchio
+    ],
+)
+def test_doctor_says_the_pip_line_that_mends(run, monkeypatch, package, version, ends, says):
     real = importlib.metadata.version
 
-    def told(name):
+    def found(name):
         if name == package and version is None:
             raise importlib.metadata.PackageNotFoundError(name)
         return version if name == package else real(name)
 
-    monkeypatch.setattr(importlib.metadata, "version", told)
-
-
-def test_doctor_says_the_pip_line_of_a_missing_extra(run, monkeypatch):
-    installed(monkeypatch, "viser", None)
+    monkeypatch.setattr(importlib.metadata, "version", found)
     code, out, _ = run("doctor")
-    assert code == 0 and "no viser; run: pip install viser" in out
-
-
-def test_doctor_reports_a_package_that_hides_pinocchio(run, monkeypatch):
-    installed(monkeypatch, "pinocchio", "0.4")
-    code, out, _ = run("doctor")
-    assert code == 1 and "pip uninstall pinocchio" in " ".join(out.split())
+    assert code == ends and says in " ".join(out.split())
 
 
 @pytest.mark.parametrize("words", ["info inspection_7dof", "robots", "solvers", "solve planar_2r --xyz 1 1 0 --all"])
@@ -215,25 +185,19 @@ def test_locked_values_are_shown_in_the_units_asked_for(run):
     assert "lift = 0.300000 m" in out and "arm_yaw = 0.500000 rad" in out
 
 
-TWO = """<robot name="two"><link name="base"/><link name="a"/><link name="b"/>
-<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/><origin xyz="1 0 0"/>
-<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-<joint name="jb" type="prismatic"><parent link="base"/><child link="b"/><axis xyz="0 0 1"/><origin xyz="2 0 0"/>
-<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-
-
-def test_info_of_a_file_with_several_tips_lists_them(run, tmp_path):
-    (tmp_path / "two.urdf").write_text(TWO)
-    code, out, err = run("info", tmp_path / "two.urdf")
-    assert code == 0 and not err and all(word in out for word in ("ja", "jb", "--tip", "two.urdf"))
-    told = json.loads(run("info", tmp_path / "two.urdf", "--json")[1])
-    assert told["tips"] == ["a", "b"] and [arm["joints"][0]["name"] for arm in told["arms"]] == ["ja", "jb"]
-    assert json.loads(run("info", tmp_path / "two.urdf", "--tip", "b", "--json")[1])["tip"] == "b"
-    assert run("info", tmp_path / "two.urdf", "--tip", "c")[0] == 2
+def test_info_of_a_file_with_several_tips_lists_them(told, run, tmp_path):
+    file = tmp_path / "fork.urdf"
+    file.write_text(FORK)
+    code, out, err = run("info", file)
+    assert code == 0 and not err and all(word in out for word in ("jb", "jc", "--tip", "fork.urdf"))
+    both = told("info", file)
+    assert both["tips"] == ["b", "c"] and [arm["joints"][0]["name"] for arm in both["arms"]] == ["jb", "jc"]
+    assert told("info", file, "--tip", "c")["tip"] == "c"
+    assert run("info", file, "--tip", "d")[0] == 2
 
 
 @pytest.mark.parametrize(
-    "command",
+    "words",
     [
         "robots --all",
         "info brokk_hydrolek",
@@ -243,11 +207,10 @@ def test_info_of_a_file_with_several_tips_lists_them(run, tmp_path):
         "check hydrolek_7w",
     ],
 )
-def test_no_table_is_wider_than_80_columns(command, capsys, monkeypatch):
+def test_no_table_is_wider_than_80_columns(run, words, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert main(command.split()) == 0
-    said = capsys.readouterr().out
-    assert max(map(cell_len, said.splitlines())) <= 80 and "…" not in said
+    code, said, _ = run(*words.split())
+    assert code == 0 and max(map(cell_len, said.splitlines())) <= 80 and "…" not in said
 
 
 def test_a_table_too_wide_is_set_closer_before_its_names_wrap_and_numbers_never_do(capsys, monkeypatch):

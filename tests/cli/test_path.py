@@ -47,13 +47,12 @@ def test_every_form_of_file_gives_the_same_path(run, files, tmp_path):
     np.testing.assert_allclose(json.loads(found[2].read_text())["q"], q, atol=1e-6)
 
 
-def test_the_answer_is_that_of_solve_path(run, files, poses):
-    code, text, _ = run("path", ARM, "--poses", files["npz"], "--free-turn", "z", "--max-step-deg", "3", "--json")
-    told = json.loads(text)
+def test_the_answer_is_that_of_solve_path(told, files, poses):
+    found = told("path", ARM, "--poses", files["npz"], "--free-turn", "z", "--max-step-deg", "3")
     wanted = ik.solve_path(motions.load(ARM), poses, free_turn=(0.0, 0.0, 1.0), max_step=(np.radians(3.0), 0.02))
-    assert code == 0 and told["success"] and told["status"] == wanted.status.name
-    np.testing.assert_allclose(told["q"], wanted.q, atol=1e-9)
-    assert told["largest_step"]["rad"] <= np.radians(3.0) * (1.0 + 1e-9)
+    assert found["success"] and found["status"] == wanted.status.name
+    np.testing.assert_allclose(found["q"], wanted.q, atol=1e-9)
+    assert found["largest_step"]["rad"] <= np.radians(3.0) * (1.0 + 1e-9)
 
 
 def test_a_path_that_is_not_followed_ends_with_1_and_says_why(run, poses, tmp_path):
@@ -93,33 +92,30 @@ def test_pictures_are_drawn(run, files, tmp_path):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--velocity", "1"], "--velocity has no effect without --retime"),
-        (["--rate", "50"], "--rate has no effect without --retime"),
-        (["--retime"], "--retime needs --acceleration"),
-        (["--retime", "--acceleration", "1", "-o", "x.npz"], r"\.csv or \.json"),
-        (["--max-step-deg", "0"], "--max-step-deg must be positive"),
-        (["--free-turn", "w"], r"--free-turn \(x, y, z, or a vector\) takes 3 numbers"),
-        (["--reconfigurations", "many"], "reconfigurations must be 'fewest'"),
-        (["--plot", "x.txt"], r"the file of --plot is written as"),
+        ("--velocity 1", "--velocity has no effect without --retime"),
+        ("--retime", "--retime needs --acceleration"),
+        ("--retime --acceleration 1 -o x.npz", ".csv or .json"),
+        ("--max-step-deg 0", "--max-step-deg must be positive"),
+        ("--free-turn w", "--free-turn (x, y, z, or a vector) takes 3 numbers"),
+        ("--reconfigurations many", "reconfigurations must be 'fewest'"),
+        ("--plot x.txt", "the file of --plot is written as"),
     ],
 )
-def test_mistakes_are_said_before_the_search(run, files, words, said):
-    code, _, err = run("path", ARM, "--poses", files["csv"], *words)
-    assert code == 2 and re.search(said, err) and "Traceback" not in err
+def test_mistakes_are_said_before_the_search(refused, files, words, said):
+    assert said in refused("path", ARM, "--poses", files["csv"], *words.split())
 
 
-def test_files_that_hold_no_poses_are_named(run, tmp_path):
+def test_files_that_hold_no_poses_are_named(refused, tmp_path):
     for text, said in (
         ("{", "cannot read"),
         ('{"xyz": [["a", 1, 2]]}', 'row 0 of xyz (counted from 0) is ["a", 1, 2], not numbers'),
         ("[]", "targets"),
     ):
         (tmp_path / "in.json").write_text(text)
-        code, _, err = run("path", ARM, "--poses", tmp_path / "in.json")
-        assert code == 2 and said in err and "in.json" in err
+        err = refused("path", ARM, "--poses", tmp_path / "in.json")
+        assert said in err and "in.json" in err
     (tmp_path / "in.csv").write_text("x,y,z\n")
-    code, _, err = run("path", ARM, "--poses", tmp_path / "in.csv")
-    assert code == 2 and "no rows below it" in err
+    assert "no rows below it" in refused("path", ARM, "--poses", tmp_path / "in.csv")
 
 
 def test_the_best_path_so_far_is_kept_when_it_is_stopped(run, files, tmp_path, monkeypatch):

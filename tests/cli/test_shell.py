@@ -19,17 +19,22 @@ from ik_toolkit.text import in_shell, program
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 
 
-def completed(run, capsys, monkeypatch, line):
+@pytest.fixture
+def completed(run, capsys, monkeypatch):
     """What bash offers for the last word of a line."""
-    words = line.split(" ")
-    monkeypatch.setenv("_IK_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", line)
-    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
-    with pytest.raises(SystemExit) as ended:
-        run()
-    out, err = capsys.readouterr()
-    assert ended.value.code == 0 and err == ""
-    return out.split()
+
+    def call(line):
+        words = line.split(" ")
+        monkeypatch.setenv("_IK_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", line)
+        monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+        with pytest.raises(SystemExit) as ended:
+            run()
+        out, err = capsys.readouterr()
+        assert ended.value.code == 0 and err == ""
+        return out.split()
+
+    return call
 
 
 @pytest.mark.parametrize(
@@ -58,21 +63,21 @@ def completed(run, capsys, monkeypatch, line):
         ("ik solve --tip a", []),
     ],
 )
-def test_words_are_completed(run, capsys, monkeypatch, line, offered):
-    assert sorted(completed(run, capsys, monkeypatch, line)) == offered
+def test_words_are_completed(completed, line, offered):
+    assert sorted(completed(line)) == offered
 
 
-def test_links_of_a_file_are_completed(run, capsys, monkeypatch, tmp_path):
+def test_links_of_a_file_are_completed(completed, tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(MIMIC)
-    assert completed(run, capsys, monkeypatch, f"ik solve {file} --tip l") == [f"l{k}" for k in range(9)]
+    assert completed(f"ik solve {file} --tip l") == [f"l{k}" for k in range(9)]
 
 
 @DATA
-def test_names_of_example_robot_data_are_completed(run, capsys, monkeypatch):
-    assert completed(run, capsys, monkeypatch, "ik solve pand") == ["panda"]
+def test_names_of_example_robot_data_are_completed(completed):
+    assert completed("ik solve pand") == ["panda"]
     # one of the robots that only `ik robots --all` lists
-    assert completed(run, capsys, monkeypatch, "ik solve solo1") != []
+    assert completed("ik solve solo1") != []
 
 
 def test_completion_loads_neither_pinocchio_nor_numba():
@@ -97,14 +102,11 @@ def pipe(run, monkeypatch):
     return call
 
 
-def test_a_robot_from_standard_input(pipe, run):
+def test_a_robot_from_standard_input(told, run, pipe):
     name = "planar_2r"
     text = shipped_robots()[name].path.read_text()
-    code, out, _ = pipe(text, "fk", "-", "--q", "0.3", "0.4", "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["robot"] == name
-    _, expected, _ = run("fk", shipped_robots()[name].path, "--q", "0.3", "0.4", "--json")
-    assert answer == json.loads(expected)
+    answer = json.loads(pipe(text, "fk", "-", "--q", "0.3", "0.4", "--json")[1])
+    assert answer["robot"] == name and answer == told("fk", shipped_robots()[name].path, "--q", "0.3", "0.4")
     assert pipe(text, "check", "-")[:2] == run("check", shipped_robots()[name].path)[:2]
     assert pipe("﻿ \n<mujoco model='m'>", "info", "-")[0] == 2
     assert pipe("\n", "info", "-") == (2, "", "ik: standard input is empty\n")
@@ -185,31 +187,29 @@ def test_every_command_is_named(run):
         assert [in_shell(f"see ik {command}") for command in commands] == [f"see X {command}" for command in commands]
 
 
-def test_mimic_joints_are_shown(run, tmp_path):
+def test_mimic_joints_are_shown(told, run, tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(MIMIC)
     robot = ik.Robot.load(file)
     q = robot.random_q(np.random.default_rng(8))
     at = robot.joint_values(q)
-    code, out, _ = run("solve", file, "--from-q", ",".join(map(str, q)), "--q0", ",".join(map(str, q)), "--json")
-    assert code == 0 and json.loads(out)["mimic_joints"] == pytest.approx({"j2": at["j2"], "j4": at["j4"]}, abs=1e-6)
-    assert json.loads(run("fk", file, "--q", ",".join(map(str, q)), "--json")[1])["mimic_joints"] == pytest.approx(
-        {"j2": at["j2"], "j4": at["j4"]}
-    )
+    typed = ",".join(map(str, q))
+    followers = {"j2": at["j2"], "j4": at["j4"]}
+    assert told("solve", file, "--from-q", typed, "--q0", typed)["mimic_joints"] == pytest.approx(followers, abs=1e-6)
+    assert told("fk", file, "--q", typed)["mimic_joints"] == pytest.approx(followers)
     for more, angle in (((), at["j2"]), (("--deg",), np.degrees(at["j2"]))):
-        given = np.degrees(q) if more else q  # all joints of this q turn
-        _, out, _ = run("solve", file, "--from-q", ",".join(map(str, given)), "--q0", ",".join(map(str, given)), *more)
+        typed = ",".join(map(str, np.degrees(q) if more else q))  # all joints of this q turn
+        _, out, _ = run("solve", file, "--from-q", typed, "--q0", typed, *more)
         rows = {row.split()[0]: row.split() for row in out.splitlines() if row.split()}
         assert float(rows["j2"][1]) == pytest.approx(angle, abs=1e-3)
         own = ["deg", "-57.2958", "57.2958"] if more else ["rad", "-1.000000", "1.000000"]
         assert rows["j2"][2:] == [*own, "follows", "j1"]
         assert float(rows["j4"][1]) == pytest.approx(at["j4"], abs=1e-5)
         assert rows["j4"][2:] == ["m", "-0.300000", "0.300000", "follows", "j0"]
-    told, turned = (" ".join(run("info", file, *more)[1].split()) for more in ((), ("--deg",)))
-    assert "j2 = -0.6 j1 + 0.200000 rad, limits -1.000000 to 1.000000 rad; j4 = 0.1 m/rad j0 + 0.050000 m" in told
+    plain, turned = (" ".join(run("info", file, *more)[1].split()) for more in ((), ("--deg",)))
+    assert "j2 = -0.6 j1 + 0.200000 rad, limits -1.000000 to 1.000000 rad; j4 = 0.1 m/rad j0 + 0.050000 m" in plain
     assert "j2 = -0.6 j1 + 11.4592 deg, limits -57.2958 to 57.2958 deg; j4 = 0.00174533 m/deg j0 + 0.050000 m" in turned
-    told = json.loads(run("info", file, "--json")[1])["mimic_joints"]
-    assert told["j4"] == {
+    assert told("info", file)["mimic_joints"]["j4"] == {
         "leader": "j0", "ratio": 0.1, "offset": 0.05, "kind": "prismatic", "lower": -0.3, "upper": 0.3,
     }  # fmt: skip
-    assert json.loads(run("info", "hydrolek_7w", "--json")[1])["mimic_joints"] == {}
+    assert told("info", "hydrolek_7w")["mimic_joints"] == {}

@@ -1,7 +1,6 @@
 """Ctrl-C and SIGTERM in every long command, early and late: what is finished is kept as FILE.partial, and the exit code says it."""
 
 import contextlib
-import csv
 import importlib
 import json
 import os
@@ -12,6 +11,7 @@ import warnings
 import numpy as np
 import pytest
 import robots
+from folders import csv_rows
 
 from ik_toolkit.cli import batch, bench, main, path, reach, tune, workspace
 from ik_toolkit.cli.streams import stoppable
@@ -31,11 +31,6 @@ def heard():
 
 def send(number):
     os.kill(os.getpid(), number)
-
-
-def rows_of(file):
-    with file.open(newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def at_progress(module):
@@ -94,15 +89,15 @@ COMMANDS = {
     "bench": (["bench", "planar_2r", "-s", "planar-2r,lm", "-n", "400", "-o", "OUT.json"], at_progress(bench),
               lambda out: sum(row["targets"] for row in json.loads(out.read_text())["rows"]), 800),
     "bench to a table": (["bench", "planar_2r", "-s", "planar-2r", "-n", "400", "--csv", "OUT.csv"], at_progress(bench),
-                         lambda out: sum(int(row["targets"]) for row in rows_of(out)), 400),
+                         lambda out: sum(int(row["targets"]) for row in csv_rows(out)), 400),
     "workspace": (["workspace", "planar_2r", "-s", "planar-2r", "-n", "100000", "--csv", "OUT.csv"], at_progress(workspace),
-                  lambda out: len(rows_of(out)), 100_000),
+                  lambda out: len(csv_rows(out)), 100_000),
     "solve, csv": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.csv"], at_progress(batch),
-                   lambda out: len(rows_of(out)), 60_000),
+                   lambda out: len(csv_rows(out)), 60_000),
     "solve, npz": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.npz"], at_progress(batch),
                    lambda out: len(np.load(out)["q"]), 60_000),
     "track": (["track", "planar_2r", "--path", "circle", "--avoid-collisions", "-o", "OUT.csv"], while_it_tracks,
-              lambda out: len(rows_of(out)), 1001),
+              lambda out: len(csv_rows(out)), 1001),
     "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
              lambda out: len(np.load(out)["q"]), 30),
     "reach": (["reach", "planar_2r", "--resolution", "0.02", "-o", "OUT.npz"], at_progress(reach), answers_of, 45_000),

@@ -19,6 +19,16 @@ def camera(monkeypatch):
 
 
 @pytest.fixture(scope="module")
+def browser():
+    """A browser for the tests of a module, which are skipped where there is none."""
+    chromium = pytest.importorskip("chromium")
+    if chromium.CHROMIUM is None:
+        pytest.skip("no chromium found (apt-get install chromium, or set CHROMIUM)")
+    with chromium.started() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
 def panel(request):
     from ik_toolkit.show.panel.panel import Panel
 

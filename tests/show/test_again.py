@@ -39,11 +39,8 @@ def test_a_second_show_leaves_nothing_of_the_first(arm):
     scene = view(arm, result, target=target)
     told = scene.window.about
     assert {"target", "start", "trail", "obstacle/crate"} <= {*scene.names}
-    assert (
-        told["animation"]
-        and told["lines"]
-        and ["target", "tip path"] == sorted(text for _, text in told["legend"])[-2:]
-    )
+    assert told["animation"] and told["lines"]
+    assert sorted(text for _, text in told["legend"])[-2:] == ["target", "tip path"]
     scene.frame(np.eye(4), "mine", label="mine")
     q = arm.random_q(np.random.default_rng(8))
     scene.show(q)
@@ -62,10 +59,11 @@ def test_update_changes_robot_tip_target_and_caption_together(arm):
     scene = view(arm, first, target=target)
     second, other = solved(arm, 9)
     scene.update(second, other)
-    drawn = scene.drawn()
+    drawn, expected = scene.drawn(), view(arm, second, target=other).drawn()
     assert np.allclose(drawn["target"], other.homogeneous, atol=1e-12)
     assert np.allclose(drawn["tip"], arm.fk(second.q).homogeneous, atol=1e-9)
     assert scene.window.about["lines"] == [f"{second.solver}: CONVERGED", second.message]
+    assert drawn.keys() == expected.keys() and all(np.allclose(drawn[one], expected[one]) for one in drawn)
     assert {*scene.names} == {*view(arm, second, target=other).names}
     scene.update(arm.home)  # the target stays, and nothing else
     assert {*scene.names} == {"robot", "tip", "target"} and scene.window.about["lines"] == []
@@ -73,6 +71,7 @@ def test_update_changes_robot_tip_target_and_caption_together(arm):
     assert {"ghost_1", "ghost_2", "target"} <= {*scene.names}
     scene.update(arm.home, np.array([0.5, 0.0, 0.2]))
     assert {*scene.names} == {"robot", "tip", "target"} and scene.drawn()["target"][0, 3] == 0.5
+    assert {path for path in scene.window.objects if path.startswith("target")} == {"target/0"}  # no axes
     assert [text for _, text in scene.window.about["legend"]] == ["target", "grid 100 mm"]
 
 
@@ -120,13 +119,8 @@ def test_a_ghost_is_complete_in_every_frame_of_an_animation(arm):
     assert scene.window.copies == {}
     far = arm.home + 0.2
     scene.animate([arm.home, far, arm.home])
-    moving = {
-        part.name
-        for part, apart in zip(
-            scene.body.parts, scene.body.apart(*map(scene.body.placements, (arm.home, far))), strict=True
-        )
-        if apart
-    }
+    apart = scene.body.apart(*map(scene.body.placements, (arm.home, far)))
+    moving = {part.name for part, away in zip(scene.body.parts, apart, strict=True) if away}
     assert {path.split("/")[1] for path in scene.window.copies} == moving and len(moving) > 10
     scene.show(arm.home)
     assert scene.window.copies == {} and scene.window.about["animation"] is None
@@ -162,10 +156,8 @@ def test_robots_obstacles_and_frames_are_added_and_removed_by_name(arm):
     scene = view(arm)
     planar = load("planar_2r")
     T = ik.pose((0.5, 1.0, 0.1), rpy=(0.0, 0.0, 1.0))
-    assert (
-        scene.add(planar, T_base=T) == "robot_2"
-        and scene.add(ik.Shape.box((0.1, 0.2, 0.3)), (0.4, 0.0, 0.1)) == "box_1"
-    )
+    assert scene.add(planar, T_base=T) == "robot_2"
+    assert scene.add(ik.Shape.box((0.1, 0.2, 0.3)), (0.4, 0.0, 0.1)) == "box_1"
     scene.frame(T, "grasp")
     q = planar.random_q(np.random.default_rng(1))
     scene.show(q, "robot_2")
@@ -190,9 +182,8 @@ def test_obstacles_that_a_result_was_solved_with_are_drawn(tmp_path, held):
     robot = ik.Robot.load(BALLS_MIMIC)
     mesh = tmp_path / "wedge.obj"
     mesh.write_text("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    model = (
-        ik.CollisionModel(robot).add_sphere(0.1, (0.9, 0.9, 0.9), name="ball").add_mesh(mesh, (0, 1, 1), name="wedge")
-    )
+    model = ik.CollisionModel(robot).add_sphere(0.1, (0.9, 0.9, 0.9), name="ball")
+    model.add_mesh(mesh, (0, 1, 1), name="wedge")
     if held:
         model.attach(ik.Shape.box((0.05, 0.05, 0.05)), (0.0, 0.0, 0.05), name="part")
     target = robot.fk(robot.random_q(np.random.default_rng(2))).translation
@@ -202,9 +193,8 @@ def test_obstacles_that_a_result_was_solved_with_are_drawn(tmp_path, held):
     ):
         scene = view(robot, result, target=target, obstacles=model if isinstance(result, list) else None)
         drawn = scene.drawn()
-        assert np.allclose(drawn["obstacle/ball"][:3, 3], 0.9) and np.allclose(
-            drawn["obstacle/wedge"][:3, 3], (0, 1, 1)
-        )
+        assert np.allclose(drawn["obstacle/ball"][:3, 3], 0.9)
+        assert np.allclose(drawn["obstacle/wedge"][:3, 3], (0, 1, 1))
         q = result[0] if isinstance(result, list) else result.q
         if held:
             place = robot.fk(q).act(np.array([0.0, 0.0, 0.05]))
@@ -224,16 +214,14 @@ def test_names_with_a_slash_are_refused(arm):
     assert {*scene.names} == {"robot", "tip"}
 
 
-def test_the_shell_draws_obstacles(tmp_path, monkeypatch):
-    from ik_toolkit.cli import main
-
+def test_the_shell_draws_obstacles(run, tmp_path, monkeypatch):
     drawn = []
     shape = Scene._shape
     monkeypatch.setattr(Scene, "_shape", lambda self, *args: (drawn.append(args), shape(self, *args))[1])
     command = ["hydrolek_7w", "--xyz", "0.6", "0.3", "0.1", "--obstacle", "sphere:0.9,0.9,0.9,0.05", "--html"]
     for words in (["solve"], ["solve", "--all"]):
         drawn.clear()
-        assert main([*words, *command, str(tmp_path / "out.html")]) == 0
+        assert run(*words, *command, tmp_path / "out.html")[0] == 0
         assert [args[0].kind for args in drawn] == ["sphere"] and np.allclose(drawn[0][1][:3, 3], 0.9)
 
 
@@ -321,13 +309,11 @@ def test_two_robots_of_one_model_keep_their_places(arm):
     scene = view(arm)
     name = scene.add(arm, arm.lower, T_base=pin.SE3(np.eye(3), np.array([0.0, 2.0, 0.0])), color=(0.2, 0.4, 0.8))
     scene.show(arm.upper)
+    base = (
+        scene.body.T_world_base @ ik.pose((0.0, 2.0, 0.0), rpy=(0.0, 0.0, 0.0)) @ np.linalg.inv(scene.body.T_world_base)
+    )
     for part, M in zip(scene.body.parts, scene.body.placements(arm.lower), strict=True):
-        T = np.eye(4)
-        T[1, 3] = 2.0
-        assert np.allclose(
-            scene.drawn()[f"{name}/{part.name}"],
-            scene.body.T_world_base @ T @ np.linalg.inv(scene.body.T_world_base) @ M,
-        )
+        assert np.allclose(scene.drawn()[f"{name}/{part.name}"], base @ M)
 
 
 def test_screenshots_and_recordings_are_files(arm, tmp_path):

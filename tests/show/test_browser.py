@@ -6,20 +6,13 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from chromium import NEEDED, PATIENCE, api, fresh_page, plainly_lit, started, until
+from chromium import PATIENCE, api, fresh_page, plainly_lit, until
 
 import ik_toolkit as ik
 
-pytestmark = NEEDED
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 
 READY = 300.0  # s; the tracker may have to be compiled first
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with started() as made:
-        yield made
 
 
 def picture(page):
@@ -172,21 +165,17 @@ def drag(page, desk, k, far, axis=1):
     arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, axis]
     at, to = (on_screen(desk, canvas, handle.gizmo.position + f * arrow) for f in (0.8, 0.8 + far))
     pull(page, at, to)
-    until(page, lambda: not np.array_equal(handle.target, T))
+
+    def arrived():
+        """Whether the page, which may be slow, has sent all steps of the drag."""
+        before = handle.target.copy()
+        page.wait_for_timeout(300)
+        return np.array_equal(handle.target, before) and not np.array_equal(before, T)
+
+    until(page, arrived)
     assert desk.worker.idle()
     moved = handle.target[:3, 3] - T[:3, 3]
     assert moved @ T[:3, axis] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, axis])) < 1e-6  # along the arrow
-
-
-def test_dragging_the_target_moves_the_robot(browser, panel):
-    with fresh_page(browser) as page:
-        hand = PanelPage(page, panel.url)
-        (desk,) = panel.desks.values()
-        hand.settle(desk)
-        drag(page, desk, 0, 0.4)
-        hand.wait_for("Converged")
-        hand.wait_for_pose(desk.stage.handles[0].target)
-        assert page.errors == []
 
 
 def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
@@ -201,6 +190,7 @@ def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
         hand.wait_for("The closest pose is")
         assert desk.worker.idle() and "gap" in desk.stage.lines
         tip, target = session.poses()["tool"], desk.stage.handles[0].target
+        hand.wait_for_pose(tip)
         canvas = page.locator("canvas").first.bounding_box()
         until(page, lambda: inside(canvas, on_screen(desk, canvas, desk.stage.handles[0].gizmo.position)))
         assert np.linalg.norm(tip[:3, 3] - target[:3, 3]) > 0.1  # the arm did not stand still before it

@@ -76,17 +76,14 @@ def test_tracking_runs_are_read_back_with_their_times(suffix, tmp_path):
     assert np.isfinite(read.values).all()
 
 
-def test_arrays_of_no_motion_are_refused_with_what_is_missing(tmp_path):
-    np.savez(tmp_path / "bad.npz", joint_names=["joint_1", "joint_2"], x=np.zeros(3))
-    with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.npz': it has neither 'curve'"):
-        motion_from_file(motions.load("planar_2r"), tmp_path / "bad.npz")
-
-
-def test_files_of_another_robot_are_refused(tmp_path):
+def test_files_of_another_robot_or_of_no_motion_are_refused_with_what_is_missing(tmp_path):
     made = result()
-    file = made.save(tmp_path / "p.csv")
-    with pytest.raises(InvalidConfiguration, match="no values of joint azimuth_yaw"):
-        motion_from_file(motions.load("hydrolek_7w"), file)
+    np.savez(tmp_path / "bad.npz", joint_names=["joint_1", "joint_2"], x=np.zeros(3))
     (tmp_path / "bad.json").write_text("{}")
-    with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.json'"):
-        motion_from_file(made.robot, tmp_path / "bad.json")
+    for name, file, said in (
+        ("hydrolek_7w", made.save(tmp_path / "p.csv"), "no values of joint azimuth_yaw"),
+        ("planar_3r", tmp_path / "bad.json", r"cannot read the motion in 'bad\.json'"),
+        ("planar_2r", tmp_path / "bad.npz", r"cannot read the motion in 'bad\.npz': it has neither 'curve'"),
+    ):
+        with pytest.raises(InvalidConfiguration, match=said):
+            motion_from_file(motions.load(name), file)

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, UnknownSolver
+from ik_toolkit.errors import FrameNotFound, InvalidOption, InvalidTarget, UnknownSolver
 
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 import umsgpack
 from hostile import Reader
-from robots import urdf
 
 from ik_toolkit.show import notebook
 from ik_toolkit.show.body import DrawnShape, primitive
@@ -137,44 +136,12 @@ def test_a_cell_that_runs_again_still_has_what_it_had(kernel):
     assert kernel.callbacks["pre_run_cell"] == [notebook._forget]  # registered once
 
 
-def test_names_in_a_cell_are_text():
-    evil = "</script><img src=x onerror=alert(1)>"
-    robot = ik.Robot.load("planar_2r")
-    made = ik.view(robot, title=evil)._repr_mimebundle_()["text/html"]
-    seen = Reader(made)
-    assert seen.tags == ["div", "img", "script"] and seen.handlers == []
-    chosen = ik.interact(robot, "lm", history=False)  # the curves need it, and have it all the same
-    assert Reader(chosen._repr_mimebundle_()["text/html"]).tags == ["div", "img", "script"]
-
-
 def test_animations_stay_true_to_a_millimetre():
     robot = ik.Robot.load("hydrolek_7w")
     target = robot.fk(robot.random_q(np.random.default_rng(3)))
     scene = ik.view(robot, ik.solve(robot, target, "dls", history=True), target=target)
     exact, short = (a["animation"]["data"] for a in (scene.window.about, notebook._short(scene.window.about)))
     assert 0.0 < np.abs(exact - short).max() < 2e-4
-
-
-def test_update_moves_robot_tip_target_and_caption():
-    robot = ik.Robot.load("hydrolek_7w")
-    rng = np.random.default_rng(5)
-    first = robot.fk(robot.random_q(rng))
-    scene = ik.view(robot, ik.solve(robot, first, "dls", history=True), target=first)
-    target = robot.fk(robot.random_q(rng)).homogeneous
-    result = ik.solve(robot, target)
-    scene.update(result, target)
-    drawn, expected = scene.drawn(), ik.view(robot, result, target=target).drawn()
-    assert set(drawn) == set(expected)
-    assert all(np.allclose(drawn[path], expected[path], atol=1e-12) for path in drawn)
-    assert scene.window.about["lines"] == [f"{result.solver}: CONVERGED", result.message]
-    assert scene.window.about["animation"] is None
-    scene.update(robot.home, target[:3, 3])  # a position has no axes
-    assert {path for path in scene.window.objects if path.startswith("target")} == {"target/0"}
-    before = scene.drawn()
-    for wrong, error in ((([0.0], None), InvalidConfiguration), ((robot.home, "there"), InvalidTarget)):
-        with pytest.raises(error):
-            scene.update(*wrong)
-    assert all(np.array_equal(scene.drawn()[path], before[path]) for path in before)
 
 
 def told(connection, kind, timeout=5.0):
@@ -271,8 +238,8 @@ def test_a_ball_to_drag_is_in_the_picture_where_the_robot_has_reached_it(name):
 
 def test_interact_with_several_tips_and_bad_input():
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    shown = ik.interact(tree, "lm")
-    assert shown.results["lm"].success
+    shown = ik.interact(tree, "lm", history=False)  # the curves need it, and have it all the same
+    assert shown.results["lm"].success and shown.scene.window.about["curves"][0][2]
     assert [grip["name"] for grip in shown.scene.window.about["drag"]] == ["target", "target2"]
     T = shown.scene.window.transforms["target2"].copy()
     shown.scene._dragged("target2", T)
@@ -310,12 +277,6 @@ def test_labels_leave_the_grid_in_the_legend():
     scene.trail(np.eye(3), label="my trail")
     words = [text for _, text in scene.window.about["legend"]]
     assert words[0] == "my trail" and re.fullmatch("grid .* m+", words[-1])
-
-
-@pytest.mark.parametrize("length", ["1e-320", "1e-9", "1e8"])
-def test_robots_of_any_size_have_a_picture(length):
-    robot = ik.Robot.load(urdf(*[{"kind": "revolute", "axis": "0 1 0", "xyz": f"0 {length} 0"}] * 2))
-    assert "image/png" in ik.view(robot, target=(0.0, 0.0, 0.0))._repr_mimebundle_()
 
 
 def test_pages_and_empty_scenes_aim_their_own_camera():

@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 import pytest
-from chromium import NEEDED, fresh_page, started, until
+from chromium import fresh_page, until
 
 import ik_toolkit as ik
 
@@ -13,14 +13,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'pl
 
 from ik_toolkit.show import notebook
 
-pytestmark = NEEDED
 CELLS = 18  # more than the WebGL contexts of a page
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with started() as made:
-        yield made
 
 
 @pytest.fixture(autouse=True)

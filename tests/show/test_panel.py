@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from robots import CONTINUOUS, have_data
+from robots import CONTINUOUS, FORK, have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget, RobotNotFound
@@ -28,13 +28,9 @@ def test_typed_pose_is_read_back():
     for kind in ("roll pitch yaw", "quaternion"):
         for degrees in (True, False):
             session.degrees = degrees
-            assert np.allclose(session.typed(*interleave(session.words(T, kind), kind)), T, atol=2e-5)
+            xyz, rotation = session.words(T, kind)
+            assert np.allclose(session.typed(xyz, kind, rotation), T, atol=2e-5)
     assert np.allclose(session.typed("1, 2 3", "free", "nonsense"), [1, 2, 3])
-
-
-def interleave(words, kind):
-    xyz, rotation = words
-    return xyz, kind, rotation
 
 
 @pytest.mark.parametrize(
@@ -107,13 +103,8 @@ def test_switching_keeps_everything_when_it_fails():
 
 
 def test_a_file_with_several_tips_starts_with_one(tmp_path):
-    text = '<robot name="fork"><link name="a"/><link name="b"/><link name="c"/>' + "".join(
-        f'<joint name="j{x}" type="revolute"><parent link="a"/><child link="{x}"/><axis xyz="0 0 1"/>'
-        '<origin xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
-        for x in "bc"
-    )
     file = tmp_path / "fork.urdf"
-    file.write_text(text + "</robot>")
+    file.write_text(FORK)
     session = Session(str(file))
     assert session.tips == ("b", "c") and session.robot.tip == "b"
 
@@ -141,14 +132,10 @@ def test_json_is_plain_numbers():
     assert np.allclose(made["T_base_tip"], session.poses()["tool"])
 
 
-def test_continuous_joints_have_a_turn_of_slider():
-    import pathlib
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = pathlib.Path(folder) / "c.urdf"
-        file.write_text(CONTINUOUS)
-        session = Session(str(file))
+def test_continuous_joints_have_a_turn_of_slider(tmp_path):
+    file = tmp_path / "c.urdf"
+    file.write_text(CONTINUOUS)
+    session = Session(str(file))
     low, high = session.ends(0)
     assert np.isclose(high - low, 2 * np.pi) and session.unit(0) == "deg"
     session.degrees = False
@@ -158,6 +145,12 @@ def test_continuous_joints_have_a_turn_of_slider():
 # --------------------------------------------------------------------------------------------------------- the server
 viser = pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+
+OPENING = {
+    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}  # fmt: skip
 
 
 def asked(panel, path=None, **headers):
@@ -175,9 +168,7 @@ def test_only_its_own_page_may_use_it(panel):
     assert asked(panel, Origin=f"http://{here}")[0] == 200
     status, words = asked(panel, Origin="http://elsewhere.example")
     assert status == 403 and "other sites" in words
-    opening = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    opening["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
-    assert asked(panel, Origin="http://elsewhere.example", **opening)[0] == 403
+    assert asked(panel, Origin="http://elsewhere.example", **OPENING)[0] == 403
     status, words = asked(panel, Host=f"rebound.example:{panel.port}")
     assert status == 403 and "rebound.example" in words
 
@@ -198,22 +189,11 @@ def test_without_the_token_there_is_nothing_to_see(panel):
     """Nor may another account of the same machine, which can reach the port, drive the panel or read what it serves."""
     token = urlsplit(panel.url).path.strip("/")
     assert len(token) >= 20
-    opening = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    opening["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
     other = token[:-1] + ("A" if token[-1] != "A" else "B")
-    bad = [
-        "/",
-        "",
-        "//",
-        "/index.html",
-        f"/{token}x/",
-        f"/{token[:-1]}/",
-        f"/{other}/",
-        f"//{token}/",
-        f"/{other}/../{token}/",
-    ]
-    for path in [*bad, f"/?{token}", f"/%2f{token}/", f"/{token.swapcase()}/", "/" + "x" * 5000 + "/", "/%ff/"]:
-        for headers in ({}, opening):
+    bad = ["/", "", "//", "/index.html", f"/{token}x/", f"/{token[:-1]}/", f"/{other}/", f"//{token}/"]
+    bad += [f"/{other}/../{token}/", f"/?{token}", f"/%2f{token}/", f"/{token.swapcase()}/", f"/{'x' * 5000}/", "/%ff/"]
+    for path in bad:
+        for headers in ({}, OPENING):
             status, words = asked(panel, path or "/", **headers)
             assert status == 403 and "whole address" in words and token not in words, path
     assert asked(panel)[0] == asked(panel, f"/{token}/index.html")[0] == asked(panel, f"/{token}/?x=1")[0] == 200
@@ -232,18 +212,16 @@ def test_a_taken_port_is_refused(panel):
             Panel("hydrolek_7w", host=host)
 
 
-def test_other_addresses(monkeypatch, capsys):
-    from ik_toolkit.cli import main
+def test_other_addresses(run, monkeypatch):
     from ik_toolkit.show.panel.panel import Panel
 
     with contextlib.closing(Panel("planar_2r", host="127.0.0.2")) as made:
         assert asked(made)[0] == 200 and made.url.startswith("http://127.0.0.2:")
     monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
-    assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
-    said = capsys.readouterr()
-    assert "anyone who knows the address" in said.err and "http://127.0.0.1:" in said.out
-    assert main(["panel", "planar_2r", "--no-open"]) == 0
-    assert "anybody" not in capsys.readouterr().err
+    code, out, err = run("panel", "planar_2r", "--host", "0.0.0.0", "--no-open")
+    assert code == 0 and "anyone who knows the address" in err and "http://127.0.0.1:" in out
+    code, _, err = run("panel", "planar_2r", "--no-open")
+    assert code == 0 and "anyone" not in err
 
 
 def test_moving_a_slider_moves_what_is_drawn(desk):

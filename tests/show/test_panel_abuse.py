@@ -22,17 +22,15 @@ from ik_toolkit.show.panel.panel import Panel  # noqa: E402
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")  # viser's word on a visitor who has left
 
 CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": (1.0, 0.0, 0.0, 0.0),
-    "position": (1.0, 1.0, 1.0),
-    "fov": 1.0,
-    "near": 0.01,
-    "far": 100.0,
-    "image_height": 600,
-    "image_width": 800,
-    "look_at": (0.0, 0.0, 0.0),
-    "up_direction": (0.0, 0.0, 1.0),
-}
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, 1.0, 1.0), "fov": 1.0, "near": 0.01,
+    "far": 100.0, "image_height": 600, "image_width": 800, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+
+
+def connected(panel, **more):
+    """A socket as the panel's page opens it."""
+    url, protocol = panel.url.replace("http", "ws", 1), f"viser-v{viser.__version__}"
+    return websockets.sync.client.connect(url, subprotocols=[protocol], compression=None, max_size=None, **more)
 
 
 class Visitor:
@@ -41,13 +39,7 @@ class Visitor:
     def __init__(self, panel):
         known = set(panel.desks)
         self.panel = panel
-        self.socket = websockets.sync.client.connect(
-            panel.url.replace("http", "ws", 1),
-            origin=f"http://127.0.0.1:{panel.port}",
-            subprotocols=[f"viser-v{viser.__version__}"],
-            compression=None,
-            max_size=None,
-        )
+        self.socket = connected(panel, origin=f"http://127.0.0.1:{panel.port}")
         self.listener = threading.Thread(target=self._listen, daemon=True)
         self.listener.start()
         self.say(**CAMERA)
@@ -73,13 +65,8 @@ class Visitor:
         self.change(button, True)
 
     def drag(self, wxyz, position):
-        self.say(
-            type="TransformControlsUpdateMessage",
-            name=self.desk.stage.handles[0].gizmo.name,
-            wxyz=wxyz,
-            position=position,
-            owner=str(self.id),
-        )
+        name, owner = self.desk.stage.handles[0].gizmo.name, str(self.id)
+        self.say(type="TransformControlsUpdateMessage", name=name, wxyz=wxyz, position=position, owner=owner)
 
     def status(self):
         return self.desk.status.content
@@ -129,28 +116,18 @@ def nonsense(rng, visitor):
     slider, text = rng.choice(visitor.desk.sliders)._impl.uuid, visitor.desk.goals[0].xyz._impl.uuid
     odd = rng.choice([None, "x", [], {}, True, -1, 1e308, math.nan, math.inf, "nan", [1, 2], {"a": None}, "\x00" * 9])
     update = {"type": "GuiUpdateMessage", "uuid": rng.choice([slider, text])}
+    handle, owner = visitor.desk.stage.handles[0], rng.choice([str(visitor.id), "", "x"])
     target = {
-        "type": "TransformControlsUpdateMessage",
-        "name": visitor.desk.stage.handles[0].gizmo.name,
+        "type": "TransformControlsUpdateMessage", "name": handle.gizmo.name, "owner": owner,
         "wxyz": [rng.choice([0.0, math.nan, 1e308, -1.0]) for _ in range(4)],
         "position": [rng.choice([0.0, math.inf, 1e308, 1e-308]) for _ in range(3)],
-        "owner": rng.choice([str(visitor.id), "", "x"]),
-    }
+    }  # fmt: skip
     ball = {
-        "type": "SceneNodeDragMessage",
-        "phase": rng.choice(["start", "update", "end"]),
-        "name": visitor.desk.stage.handles[0].ball.name,
-        "instance_index": None,
-        **{
-            name: [rng.choice([0.0, math.nan, 1e308, -1e308]) for _ in range(3)]
-            for name in ("start_position", "end_position")
-        },
-        "start_screen_pos": (0.0, math.inf),
-        "end_screen_pos": (math.nan, 0.0),
-        "button": "left",
-        "modifier": None,
-        "owner": rng.choice([str(visitor.id), "", "x"]),
-    }
+        "type": "SceneNodeDragMessage", "phase": rng.choice(["start", "update", "end"]), "name": handle.ball.name,
+        "instance_index": None, "button": "left", "modifier": None, "owner": owner,
+        "start_screen_pos": (0.0, math.inf), "end_screen_pos": (math.nan, 0.0),
+        **{f"{end}_position": [rng.choice([0.0, math.nan, 1e308, -1e308]) for _ in range(3)] for end in ("start", "end")},
+    }  # fmt: skip
     readable = [
         ball,
         {**CAMERA, "fov": rng.choice([math.nan, -1.0, 1e308]), "look_at": (math.inf, 0.0, 0.0)},
@@ -207,13 +184,10 @@ def check_alive(panel):
     visitor.change(desk.sliders[1], 30.0)
     assert until(lambda: math.isclose(desk.session.q[1], math.radians(30.0)))
     goal = robot.fk(np.clip(desk.session.q + 0.1, robot.lower, robot.upper)).homogeneous
-    for handle, text in zip(
-        (desk.goals[0].xyz, desk.goals[0].rotation), desk.session.words(goal, "roll pitch yaw"), strict=True
-    ):
-        visitor.change(handle, text)
-    assert until(
-        lambda: desk.worker.idle() and desk.goals[0].rotation.value == desk.session.words(goal, "roll pitch yaw")[1]
-    )
+    xyz, rotation = desk.session.words(goal, "roll pitch yaw")
+    visitor.change(desk.goals[0].xyz, xyz)
+    visitor.change(desk.goals[0].rotation, rotation)
+    assert until(lambda: desk.worker.idle() and desk.goals[0].rotation.value == rotation)
     visitor.press("Solve")
     assert until(lambda: "Converged" in visitor.status()), visitor.status()
     visitor.change(desk.goals[0].xyz, "9 0 0")
@@ -279,14 +253,8 @@ def test_no_files_are_taken(panel):
     upload = {"transfer_uuid": "a", "source_component_uuid": slider._impl.uuid}
     tracemalloc.start()
     try:
-        visitor.say(
-            type="FileTransferStartUpload",
-            filename="x",
-            mime_type="x",
-            part_count=100,
-            size_bytes=50_000_000,
-            **upload,
-        )
+        sizes = {"part_count": 100, "size_bytes": 50_000_000}
+        visitor.say(type="FileTransferStartUpload", filename="x", mime_type="x", **sizes, **upload)
         for k in range(60):
             visitor.say(type="FileTransferPart", part_index=k, content=bytes(500_000), **upload)
         visitor.change(visitor.desk.sliders[1], 30.0)
@@ -304,13 +272,7 @@ def test_no_files_are_taken(panel):
 
 def test_visitors_cannot_talk_to_each_other_or_fill_the_memory(panel):
     """What viser would pass on to every page and keep for those to come is not taken."""
-    visitor, heard = Visitor(panel), []
-    other = websockets.sync.client.connect(
-        panel.url.replace("http", "ws", 1),
-        subprotocols=[f"viser-v{viser.__version__}"],
-        compression=None,
-        max_size=None,
-    )
+    visitor, other, heard = Visitor(panel), connected(panel), []
     tracemalloc.start()
     try:
         for k in range(30):
@@ -349,9 +311,7 @@ def test_memory_stays_flat(panel, record_property):
 
     first = [round_of(k) for k in range(3)][-1]
     last = [round_of(10 + k) for k in range(10)][-1]
-    record_property(
-        "note",
-        f"memory after 3 rounds of 20 visitors and 1000 malformed messages {first:.0f} MB, after 13 {last:.0f} MB",
-    )
+    said = f"memory after 3 rounds of 20 visitors and 1000 malformed messages {first:.0f} MB, after 13 {last:.0f} MB"
+    record_property("note", said)
     check_alive(panel)
     assert last - first < 40

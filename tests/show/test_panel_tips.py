@@ -130,11 +130,9 @@ def test_tips_are_chosen_in_the_page(desk):
     assert len(desk.goals) == 1 and "planar_3r" in desk.status.content
 
 
-def test_the_command_takes_several_tips(monkeypatch, capsys):
-    from ik_toolkit.cli import main
-
+def test_the_command_takes_several_tips(run, refused, monkeypatch):
     monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
-    assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", RIGHT, "--no-open"]) == 0
-    assert "http://127.0.0.1:" in capsys.readouterr().out
-    assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", LEFT, "--no-open"]) == 2
-    assert "each tip can be given only once" in capsys.readouterr().err
+    code, out, _ = run("panel", "brokk_hydrolek", "--tip", LEFT, "--tip", RIGHT, "--no-open")
+    assert code == 0 and "http://127.0.0.1:" in out
+    twice = refused("panel", "brokk_hydrolek", "--tip", LEFT, "--tip", LEFT, "--no-open")
+    assert "each tip can be given only once" in twice

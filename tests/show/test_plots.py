@@ -58,9 +58,8 @@ def test_a_failed_solve_shows_the_attempt_of_its_answer():
         assert not set(np.concatenate(others)) & set(won)
         drawn = plots.convergence(result).axes[0].get_lines()
         (line,) = [line for line in drawn if line.get_label() == "position [m]"]
-        assert line.get_ydata()[-1] == pytest.approx(result.position_error, rel=1e-9) and len(line.get_ydata()) == len(
-            won
-        )
+        assert line.get_ydata()[-1] == pytest.approx(result.position_error, rel=1e-9)
+        assert len(line.get_ydata()) == len(won)
         grey = [line for line in drawn if line.get_color() == plots.COLOURS[7]]
         assert len(grey) == len(others) and all(line.get_linewidth() < 1 for line in grey)
 
@@ -126,9 +125,7 @@ def test_the_picture_of_a_run_prints_nothing_over_anything_and_no_legend_beyond_
         run.sigma = np.linspace(1.0, 0.3, 50)
         run.clock, run.pace = np.r_[0.0, np.cumsum(run.sigma) * run.dt], np.full(50, 2)
         run.limited[20:, 2] = 2
-    run.joint_names = (
-        tuple(f"{name}_of_an_arm_with_long_names" for name in robot.joint_names) if slowed else robot.joint_names
-    )
+        run.joint_names = tuple(f"{name}_of_an_arm_with_long_names" for name in robot.joint_names)
     figure = ik.plot(run, robot)
     figure.canvas.draw()
     axes = [ax for ax in figure.axes if ax.name != "3d"]
@@ -148,9 +145,8 @@ def test_the_picture_of_a_run_prints_nothing_over_anything_and_no_legend_beyond_
 
 def test_joints_without_limits_are_drawn_within_a_half_turn_of_zero():
     robot = ik.Robot.load(CONTINUOUS)
-    run = ik.track(
-        robot, ik.line(robot.fk(robot.home).translation, robot.fk(robot.home + 0.1).translation, duration=0.5)
-    )
+    ends = (robot.fk(q).translation for q in (robot.home, robot.home + 0.1))
+    run = ik.track(robot, ik.line(*ends, duration=0.5))
     positions = lines(ik.plot(run, robot).axes[2])
     for i, name in enumerate(robot.joint_names):
         shown = run.q[:, i] / (np.pi if np.isinf(robot.upper[i]) else 2.0)

@@ -23,6 +23,11 @@ pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
 from ik_toolkit.show.scene import view
 
+OPENING = {
+    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}  # fmt: skip
+
 
 def status_of(url, headers):
     """HTTP status of a plain request."""
@@ -44,13 +49,7 @@ def test_live_scene_is_local_and_needs_its_address():
     with urllib.request.urlopen(url) as page:
         assert b"live();" in page.read()
     assert status_of(root, {}) == 404
-    opening = {
-        "Connection": "Upgrade",
-        "Upgrade": "websocket",
-        "Sec-WebSocket-Version": "13",
-        "Sec-WebSocket-Key": "a" * 22 + "==",
-    }
-    assert status_of(url + "ws", {**opening, "Origin": "http://elsewhere.example"}) == 403
+    assert status_of(url + "ws", {**OPENING, "Origin": "http://elsewhere.example"}) == 403
     socket_url = url.replace("http", "ws", 1) + "ws"
 
     async def talk():
@@ -75,15 +74,7 @@ def open_tab(url, **headers):
     """A tab of a live scene that has opened its socket and reads nothing yet."""
     at = urllib.parse.urlsplit(url)
     tab = socket.create_connection((at.hostname, at.port), timeout=10)
-    opening = {
-        "Host": at.netloc,
-        "Origin": f"http://{at.netloc}",
-        "Connection": "Upgrade",
-        "Upgrade": "websocket",
-        "Sec-WebSocket-Version": "13",
-        "Sec-WebSocket-Key": "a" * 22 + "==",
-        **headers,
-    }
+    opening = {"Host": at.netloc, "Origin": f"http://{at.netloc}", **OPENING, **headers}
     lines = [f"GET {at.path}ws HTTP/1.1", *(f"{key}: {value}" for key, value in opening.items()), "", ""]
     tab.sendall("\r\n".join(lines).encode())
     stream = tab.makefile("rb")
@@ -207,12 +198,11 @@ def test_no_server_is_left_after_a_signal(command, end):
         assert line, "the command ended before it served"
     url = re.search(r"http://\S+/", line)[0]
     at = urllib.parse.urlsplit(url)
-    port = at.port
     assert len(at.path.strip("/")) > 20 and status_of(url, {}) == 200  # the address printed is the whole one
     assert status_of(f"http://{at.netloc}/", {}) in (403, 404)
     run.send_signal(end)
     assert run.wait(20) == 0
     with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", port)) != 0
+        assert probe.connect_ex(("127.0.0.1", at.port)) != 0
     assert "Traceback" not in run.stderr.read()
     run.stderr.close()

@@ -138,13 +138,12 @@ def test_a_base_that_moves_in_the_model_stays_where_targets_are():
         check_chain(bars_of(scene), base[:3, 3], (base @ robot.fk(q).homogeneous)[:3, 3], robot.reach)
 
 
-def test_the_page_draws_the_same_chain(tmp_path):
-    chromium = pytest.importorskip("chromium")
-    if chromium.CHROMIUM is None:
-        pytest.skip("no chromium found (apt-get install chromium, or set CHROMIUM)")
+def test_the_page_draws_the_same_chain(browser, tmp_path):
+    from chromium import fresh_page
+
     robots = [load("mimic_mix"), load("slides_mix"), *(robot for _, robot in random_robots(20))]
     file = tmp_path / "page.html"
-    with chromium.started() as browser, chromium.fresh_page(browser) as page:
+    with fresh_page(browser) as page:
         ik.view(robots[0]).page(file)
         page.goto(file.as_uri())
         page.wait_for_selector("body[data-still='1']")
@@ -160,9 +159,7 @@ def test_the_page_draws_the_same_chain(tmp_path):
         assert page.errors == []
 
 
-def test_links_without_shapes_are_sticks_and_the_shell_says_why(tmp_path, capsys):
-    from ik_toolkit.cli import main
-
+def test_links_without_shapes_are_sticks_and_the_shell_says_why(run, tmp_path):
     def clothed(text, link, shape):
         visual = f"<visual><geometry>{shape}</geometry></visual>"
         return text.replace(f'<link name="{link}"/>', f'<link name="{link}">{visual}</link>')
@@ -181,9 +178,9 @@ def test_links_without_shapes_are_sticks_and_the_shell_says_why(tmp_path, capsys
     file = tmp_path / "lost.urdf"
     file.write_text(lost)
     words = ["view"], ["solve", "--from-q", *["0.1"] * robot.n], ["workspace", "--targets", "100"]
-    for command in ([name, str(file), *rest] for name, *rest in words):
-        assert main([*command, "--html", str(tmp_path / "out.html")]) == 0
-        assert "mesh 'lost.stl' is not there" in capsys.readouterr().err
+    for name, *rest in words:
+        code, _, err = run(name, file, *rest, "--html", tmp_path / "out.html")
+        assert code == 0 and "mesh 'lost.stl' is not there" in err
 
 
 def test_charts_end_where_fk_does():

@@ -128,8 +128,7 @@ def test_one_small_run_against_a_process_of_its_own(tmp_path):
     assert str(tmp_path) not in json.dumps(written)
 
 
-def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, capsys):
-    from ik_toolkit.cli import main
+def test_an_interrupt_keeps_the_blocks_that_are_finished(run, tmp_path, monkeypatch):
     from ik_toolkit.study import benchmark as module
 
     real, done = module.run_block, []
@@ -141,15 +140,13 @@ def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, 
         return real(*job)
 
     monkeypatch.setattr(module, "run_block", impatient)
-    words = ["bench", "planar_2r", "planar_3r", "--solvers", "lm,dls", "-n", "100", "-o", str(tmp_path / "out.json")]
-    assert main(words) == 130
+    words = "bench planar_2r planar_3r --solvers lm,dls -n 100 -o".split()
+    code, _, err = run(*words, tmp_path / "out.json")
+    assert code == 130 and "interrupted" in err
     rows = json.loads((tmp_path / "out.json.partial").read_text())["rows"]
-    assert [(row["robot"], row["solver"], row["targets"]) for row in rows] == [
-        ("planar_2r", "lm", 40),
-        ("planar_2r", "dls", 30),
-    ]
+    done = [(row["robot"], row["solver"], row["targets"]) for row in rows]
+    assert done == [("planar_2r", "lm", 40), ("planar_2r", "dls", 30)]
     assert all(row["once"]["targets"] == row["targets"] for row in rows)
-    assert "interrupted" in capsys.readouterr().err
 
 
 def test_a_run_over_streams_goes_on_where_its_file_leaves_off(scripts, monkeypatch):

@@ -1,17 +1,14 @@
 """Calibration: planted errors are found, named and written into a URDF; what the data do not tell is said; files and mistakes."""
 
-import json
-
 import numpy as np
 import pinocchio as pin
 import pytest
 import robots
 import second_fk
+from folders import write_csv
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.files import write_table
 from ik_toolkit.robot.formats.dh import dh_fk
 
 NOISE = 5e-4
@@ -233,20 +230,19 @@ def aligned(X, Y):
 def test_sockets_with_and_without_a_known_distance(arm):
     truth = True_(arm, 21, 1.25e-3, np.radians(0.25))
     places = truth([arm.home, arm.home + np.array([0.5, 0.2, -0.2, 0.3, 0.1, 0.0])])[:, :3, 3]
+    distance = float(np.linalg.norm(places[0] - places[1]))
     Q, labels = touching(truth, arm, places, 20, 22), np.repeat([0, 1], 20)
     H = drawn(arm, 23, 200)
     t = truth(H)[:, :3, 3]
     free = ik.calibrate(arm, Q, labels, "socket")
     assert any("scale" in note for note in free.notes)
     assert any(one.shared == ("the sockets",) for one in free.fixed)
-    known = ik.calibrate(arm, Q, labels, "socket", distances=float(np.linalg.norm(places[0] - places[1])))
+    known = ik.calibrate(arm, Q, labels, "socket", distances=distance)
     assert not any("scale" in note for note in known.notes) and any("aligning" in note for note in known.notes)
     before = aligned(np.array([arm.fk(q).translation for q in H]), t) - t
     after = aligned(known.predict(H)[0], t) - t
     assert np.sqrt((after**2).sum(1).mean()) < 0.4 * np.sqrt((before**2).sum(1).mean())
-    assert np.linalg.norm(known.touched[0] - known.touched[1]) == pytest.approx(
-        np.linalg.norm(places[0] - places[1]), abs=2e-4
-    )
+    assert np.linalg.norm(known.touched[0] - known.touched[1]) == pytest.approx(distance, abs=2e-4)
     placed = ik.calibrate(arm, Q, labels, "socket", places=places)
     assert any("turn about their line" in note for note in placed.notes)
     assert np.linalg.norm(placed.predict(Q[:1])[0] - places[0]) < 1e-3
@@ -360,40 +356,33 @@ def test_page_and_chart(good, tmp_path):
     assert "corrected" in (tmp_path / "chart.svg").read_text()
 
 
-def test_command(arm, good, tmp_path, capsys):
+def test_command(run, told, refused, arm, good, tmp_path):
     _, truth, Q = good
-    out = tmp_path / "poses.csv"
-    assert main(["calibrate", "hydrolek_7w", "--suggest", "4", "-o", str(out), "--deg"]) == 0
+    out, data, urdf, page = (tmp_path / name for name in ("poses.csv", "measured.csv", "out.urdf", "page.html"))
+    assert run("calibrate", "hydrolek_7w", "--suggest", 4, "-o", out, "--deg")[0] == 0
     head, *rows = out.read_text().splitlines()
     assert head.split(",")[:6] == list(arm.joint_names) and len(rows) == 4
     m = measured(truth, Q, 3)[:, :3, 3]
-    data = tmp_path / "measured.csv"
-    write_table(data, [*arm.joint_names, "x", "y", "z"], np.hstack([np.degrees(Q), 1e3 * m]).tolist())
-    urdf, page = tmp_path / "out.urdf", tmp_path / "page.html"
-    words = ["calibrate", "hydrolek_7w", "--data", str(data), "--deg", "--length-unit", "mm"]
-    assert main([*words, "-o", str(urdf), "--html", str(page)]) == 0
-    said = capsys.readouterr().out
-    assert "fixed as drawn" in said and "elbow_pitch.offset" in said and max(map(len, said.splitlines())) <= 100
-    q = Q[0]
-    assert np.abs(ik.Robot.load(urdf, tip="tool").fk(q).homogeneous - good[0].fk(q).homogeneous).max() < 1e-6
-    assert "<svg" in page.read_text()
-    assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["errors"]["elbow_pitch.offset"]["value"] == pytest.approx(
-        good[0].errors["elbow_pitch.offset"][0], abs=1e-6
-    )
+    write_csv(data, ",".join([*arm.joint_names, "x", "y", "z"]), np.hstack([np.degrees(Q), 1e3 * m]).tolist())
+    words = ["calibrate", "hydrolek_7w", "--data", data, "--deg", "--length-unit", "mm"]
+    code, said, _ = run(*words, "-o", urdf, "--html", page)
+    assert code == 0 and "fixed as drawn" in said and "elbow_pitch.offset" in said
+    assert max(map(len, said.splitlines())) <= 100 and "<svg" in page.read_text()
+    made = ik.Robot.load(urdf, tip="tool").fk(Q[0]).homogeneous
+    assert np.abs(made - good[0].fk(Q[0]).homogeneous).max() < 1e-6
+    value = told(*words)["errors"]["elbow_pitch.offset"]["value"]
+    assert value == pytest.approx(good[0].errors["elbow_pitch.offset"][0], abs=1e-6)
     np.savez(tmp_path / "m.npz", q=Q, measured=m)
-    assert main(["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.npz")]) == 0
-    assert "27 of 42 unknowns" in capsys.readouterr().out
-    for words, wrong in (
-        (["calibrate", "hydrolek_7w"], "--suggest"),
-        (["calibrate", "hydrolek_7w", "--data", str(data)], "degrees"),
-        (["calibrate", "hydrolek_7w", "--data", str(data), "--deg"], "millimetres"),
-        (["calibrate", "hydrolek_7w", "--data", str(out), "--deg"], "no column x"),
-        (["calibrate", "planar_3r", "--data", str(data)], "no column"),
-        (["calibrate", "hydrolek_7w", "--suggest", "3", "-o", str(urdf)], ".csv"),
-        (["calibrate", "hydrolek_7w", "--data", str(data), "-o", "x.csv"], ".urdf"),
-        (["calibrate", "hydrolek_7w", "--data", str(data), "--distance", "0:1"], "A:B:M"),
+    code, said, _ = run("calibrate", "hydrolek_7w", "--data", tmp_path / "m.npz")
+    assert code == 0 and "27 of 42 unknowns" in said
+    for robot, words, wrong in (
+        ("hydrolek_7w", [], "--suggest"),
+        ("hydrolek_7w", ["--data", data], "degrees"),
+        ("hydrolek_7w", ["--data", data, "--deg"], "millimetres"),
+        ("hydrolek_7w", ["--data", out, "--deg"], "no column x"),
+        ("planar_3r", ["--data", data], "no column"),
+        ("hydrolek_7w", ["--suggest", 3, "-o", urdf], ".csv"),
+        ("hydrolek_7w", ["--data", data, "-o", "x.csv"], ".urdf"),
+        ("hydrolek_7w", ["--data", data, "--distance", "0:1"], "A:B:M"),
     ):
-        assert main(words) == 2
-        assert wrong in capsys.readouterr().err
+        assert wrong in refused("calibrate", robot, *words)

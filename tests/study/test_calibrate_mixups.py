@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 import robots
+from folders import write_csv
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidTarget
-from ik_toolkit.files import write_table
 
 
 @pytest.fixture(scope="module")
@@ -29,13 +28,12 @@ def test_metres_taken_for_millimetres_are_refused(data):
         ik.calibrate(arm, Q, 1e3 * at)
 
 
-def test_rows_in_another_order_are_not_credible(data, tmp_path, capsys):
+def test_rows_in_another_order_are_not_credible(run, data, tmp_path):
     arm, Q, at = data
-    write_table(tmp_path / "m.csv", [*arm.joint_names, "x", "y", "z"], np.hstack([Q, at[::-1]]).tolist())
-    said = ["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.csv"), "-o", str(tmp_path / "arm.urdf")]
-    assert main([*said, "--parameters", "joints", "--json"]) == 1
-    shown = capsys.readouterr()
-    assert "not to be used" in shown.err and not json.loads(shown.out)["credible"]
+    file = write_csv(tmp_path / "m.csv", ",".join([*arm.joint_names, "x", "y", "z"]), np.hstack([Q, at[::-1]]))
+    given = ["calibrate", "hydrolek_7w", "--data", file, "-o", tmp_path / "arm.urdf", "--parameters", "joints"]
+    code, out, err = run(*given, "--json")
+    assert code == 1 and "not to be used" in err and not json.loads(out)["credible"]
 
 
 def test_an_error_far_beyond_the_prior_is_not_credible_until_the_prior_allows_it(data):
@@ -53,17 +51,16 @@ def test_copied_rows_are_not_new_measurements(data):
     assert not any("differ" in note for note in ik.calibrate(arm, Q, at, parameters=("joints",)).notes)
     found = ik.calibrate(arm, np.tile(Q[:15], (3, 1)), np.tile(at[:15], (3, 1)), parameters=("joints",))
     assert any("only 15 of the 45 configurations differ" in note for note in found.notes)
-    with pytest.raises(
-        InvalidTarget, match="6 configurations that differ, of 60 measurements of kind 'position' are 18 numbers"
-    ):
+    said = "6 configurations that differ, of 60 measurements of kind 'position' are 18 numbers"
+    with pytest.raises(InvalidTarget, match=said):
         ik.calibrate(arm, np.tile(Q[:6], (10, 1)), np.tile(at[:6], (10, 1)))
 
 
-def test_a_blank_line_is_said_once(data, tmp_path, capsys):
+def test_a_blank_line_is_said_once(run, data, tmp_path):
     """The file is read twice, for the joints and for the positions."""
     arm, Q, at = data
     rows = [",".join(map(str, row)) for row in np.hstack([Q, at])]
     file = tmp_path / "m.csv"
     file.write_text("\n".join([",".join([*arm.joint_names, "x", "y", "z"]), *rows[:4], "", *rows[4:]]))
-    assert main(["calibrate", "hydrolek_7w", "--data", str(file), "--parameters", "joints"]) == 0
-    assert capsys.readouterr().err.count("blank line") == 1
+    code, _, err = run("calibrate", "hydrolek_7w", "--data", file, "--parameters", "joints")
+    assert code == 0 and err.count("blank line") == 1

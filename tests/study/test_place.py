@@ -1,15 +1,14 @@
 """Where a robot should stand: as good as planted and random bases, true counts, obstacles, ranges, paths, helpful errors."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import robots
 import second_fk
+from folders import csv_rows
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import FrameNotFound, InvalidOption, InvalidTarget
 from ik_toolkit.study import place_search
 from ik_toolkit.study.place import PlaceInterrupted
@@ -18,15 +17,7 @@ from ik_toolkit.study.place import PlaceInterrupted
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Search less than a person would want, so that tests are fast."""
-    less = {
-        "samples": 60_000,
-        "spread": 300,
-        "last": 280,
-        "keep": 4,
-        "around": 8,
-        "rounds": 2,
-        "voted": 100,
-    }
+    less = dict(samples=60_000, spread=300, last=280, keep=4, around=8, rounds=2, voted=100)
     monkeypatch.setattr(place_search, "SEARCH", place_search.SEARCH._replace(**less))
 
 
@@ -132,16 +123,8 @@ def test_narrowed_limits_hold_beside_obstacles(hydrolek):
     W, name = sheet(hydrolek, np.eye(4), 6), hydrolek.joint_names[0]
     scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[3, :3, 3] - (0.35, 0.0, 0.0))
     for robot, limits in ((hydrolek, (-0.2, 0.3)), (hydrolek.narrowed({name: (-0.3, 0.3)}), (-0.2, 0.2))):
-        best = ik.place(
-            robot,
-            W,
-            ((-0.2, -0.2), (0.2, 0.2)),
-            yaw=(-0.5, 0.5),
-            count=1,
-            limits={name: limits},
-            q0_outside="refuse",
-            avoid_collisions=scene,
-        )[0]
+        asked = dict(yaw=(-0.5, 0.5), count=1, limits={name: limits}, q0_outside="refuse", avoid_collisions=scene)
+        best = ik.place(robot, W, ((-0.2, -0.2), (0.2, 0.2)), **asked)[0]
         q = best.q[best.reached, 0]
         assert best.count > 0 and limits[0] <= q.min() and q.max() <= limits[1]
 
@@ -195,7 +178,7 @@ def test_a_rail_is_placed_as_the_base_of_the_arm_on_it():
     assert ik.solve_batch(rail, seen).success.all()
 
 
-def test_each_arm_of_a_tree_reaches_its_own_poses_from_one_base(tmp_path, monkeypatch, capsys):
+def test_each_arm_of_a_tree_reaches_its_own_poses_from_one_base(run, refused, tmp_path, monkeypatch):
     """The place of a machine with two arms, one with poses and one with positions, judged tip by tip; and the command."""
     brokk, G = ik.Tree.load("brokk_hydrolek"), moved(1.5, -2.0, 2.1)
     T = {tip: G @ pose.homogeneous for tip, pose in brokk.fk(brokk.home).items()}
@@ -231,23 +214,19 @@ def test_each_arm_of_a_tree_reaches_its_own_poses_from_one_base(tmp_path, monkey
     for tip in brokk.tips:
         np.savez(f"{tip}.npz", targets=W[tip])
     given = ["--poses", "left_tip:left_tip.npz", "--poses", "right_tip:right_tip.npz"]
-    assert main(["place", "brokk_hydrolek", *given, "--where", "1.3", "-2.2", "1.7", "-1.8", "-n", "1"]) == 0
-    assert best.counts in " ".join(capsys.readouterr().out.split())
+    code, out, _ = run("place", "brokk_hydrolek", *given, "--where", 1.3, -2.2, 1.7, -1.8, "-n", 1)
+    assert code == 0 and best.counts in " ".join(out.split())
     for wrong in ([*given[:2], "--poses", "right_tip.npz"], [*given, "--tip", "left_tip"], given[:2] * 2):
-        assert main(["place", "brokk_hydrolek", *wrong]) == 2
+        refused("place", "brokk_hydrolek", *wrong)
 
 
-def test_the_command(hydrolek, tmp_path, monkeypatch, capsys):
+def test_the_command(run, refused, hydrolek, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.savez("cuts.npz", targets=sheet(hydrolek))
-    assert (
-        main(["place", "hydrolek_7w", "--poses", "cuts.npz", "-n", "2", "-o", "places.csv", "--plot", "floor.png"]) == 0
-    )
-    said = capsys.readouterr()
-    assert "of 20" in said.out and (tmp_path / "floor.png").stat().st_size > 10_000
-    with open("places.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    asked = ["place", "hydrolek_7w", "--poses", "cuts.npz"]
+    code, out, _ = run(*asked, "-n", 2, "-o", "places.csv", "--plot", "floor.png")
+    assert code == 0 and "of 20" in out and (tmp_path / "floor.png").stat().st_size > 10_000
+    rows = csv_rows("places.csv")
     assert len(rows) == 2 and float(rows[0]["count"]) >= 18
-    far = ["--where", "50", "50", "51", "51"]
-    assert main(["place", "hydrolek_7w", "--poses", "cuts.npz", *far]) == 1
-    assert main(["place", "hydrolek_7w", "--poses", "cuts.npz", "--yaw", "1 2 3"]) == 2
+    assert run(*asked, "--where", 50, 50, 51, 51)[0] == 1
+    refused(*asked, "--yaw", "1 2 3")

@@ -11,7 +11,6 @@ import robots
 import second_fk
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption, InvalidTarget
 from ik_toolkit.solvers.batch.solve_batch import solve_parts
 from ik_toolkit.study import reachability as study
@@ -258,22 +257,17 @@ def test_loose_poses_are_taken_in_every_form_and_made_exact():
         ik.reachability(robot, rough)
 
 
-def test_a_full_disk_loses_nothing_finished(tmp_path, capsys):
+def test_a_full_disk_loses_nothing_finished(run, tmp_path):
     robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.1, "audit": 0, "file": tmp_path / "map.npz"}
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # no file may grow longer
     try:
         with pytest.raises(MapNotSaved, match=r"map\.npz") as failure:
             ik.reachability(robot, BOX, **asked)
-        box = [str(x) for corner in BOX for x in corner]
-        shell = ["reach", "hydrolek_7w", "--region", *box, "--resolution", "0.1", "--audit", "0"]
-        assert main([*shell, "-o", str(tmp_path / "shell.npz")]) == 2
-        said = " ".join(capsys.readouterr().err.split())
-        assert (
-            "is lost if the study is stopped" in said
-            and "has what fitted; with more space the same command goes" in said
-        )
-        assert "interrupted" not in said
+        shell = ["reach", "hydrolek_7w", "--region", *BOX[0], *BOX[1], "--resolution", 0.1, "--audit", 0]
+        code, _, said = run(*shell, "-o", tmp_path / "shell.npz")
+        assert code == 2 and "is lost if the study is stopped" in said and "interrupted" not in said
+        assert "has what fitted; with more space the same command goes" in said
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     kept = failure.value.result
@@ -354,16 +348,14 @@ def test_mistakes_are_named():
             ik.reachability(robot, **arguments)
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_the_command(run, refused, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     asked = "reach hydrolek_7w --region 0.3 -0.4 -0.3 1.1 0.4 0.5 --resolution 0.2 --audit 10".split()
-    assert main([*asked, "-o", "map.npz", "--plot", "map.png", "--html", "map.html"]) == 0
-    said = capsys.readouterr()
-    assert "reached" in said.out and "64 cells of 200 mm: 64 answers" in said.err
+    code, out, err = run(*asked, "-o", "map.npz", "--plot", "map.png", "--html", "map.html")
+    assert code == 0 and "reached" in out and "64 cells of 200 mm: 64 answers" in err
     assert ik.ReachabilityMap.load("map.npz").grid.shape == (4, 4, 4) and (tmp_path / "map.png").stat().st_size > 10_000
     assert (tmp_path / "map.html").stat().st_size > 100_000
-    assert main(["reach", "hydrolek_7w", "--orientations", "many"]) == 2
-    assert "number of tool axes" in capsys.readouterr().err
+    assert "number of tool axes" in refused("reach", "hydrolek_7w", "--orientations", "many")
 
 
 def test_batches_may_leave_failures_where_the_search_ended():
@@ -376,6 +368,5 @@ def test_batches_may_leave_failures_where_the_search_ended():
     assert (whole.success | ~bare.success).all() and 0 < bare.success.sum() < 300
     assert ((bare.status == ik.Status.UNREACHABLE) == (whole.status == ik.Status.UNREACHABLE)).all()
     lost = ~whole.success
-    assert (bare.position_error[lost] >= whole.position_error[lost] - 1e-9).all() and (
-        bare.q[lost] != whole.q[lost]
-    ).any()
+    assert (bare.position_error[lost] >= whole.position_error[lost] - 1e-9).all()
+    assert (bare.q[lost] != whole.q[lost]).any()

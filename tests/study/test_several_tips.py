@@ -1,14 +1,12 @@
 """Tuning and workspace of several tips solved together."""
 
-import csv
 import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from folders import csv_rows
 
 import ik_toolkit as ik
-from ik_toolkit.cli import application
 from ik_toolkit.errors import FrameNotFound, InvalidOption, UnknownSolver
 from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import score, tune
@@ -66,8 +64,7 @@ def test_the_workspace_of_one_tip_with_the_other_free(brokk, how, tmp_path):
     assert (found.low == low).all() and (found.high == high).all() and found.radius == radius
     assert found.outcomes["lm"].solved == 300 and 0 < found.outcomes["dls"].solved
     assert found.tip == found.to_dict()["tip"] == "right_tip"
-    with file.open(newline="", encoding="utf-8") as lines:
-        rows = list(csv.DictReader(lines))
+    rows = csv_rows(file)
     assert len(rows) == 300 and {row["lm success"] for row in rows} == {"1"}
     assert np.allclose([[float(row[k]) for k in "xyz"] for row in rows], found.points)
     assert max(float(row["lm position_error"]) for row in rows) <= 1e-3
@@ -93,16 +90,10 @@ def test_the_tip_has_to_be_one(brokk):
         tune(brokk, "dls", how="volume", **SMALL)
 
 
-def test_commands(tmp_path):
-    run = CliRunner().invoke(
-        application(),
-        ["tune", "brokk_hydrolek", "dls", *TIPS, "-m", "pso", "--targets", "20", "--held-out", "1", "--generations", "1",
-         "--population", "3", "--max-iterations", "100", "-o", str(tmp_path / "mine.toml"), "--json"],
-    )  # fmt: skip
-    assert run.exit_code == 0, run.output
+def test_commands(told, tmp_path):
+    few = "-m pso --targets 20 --held-out 1 --generations 1 --population 3 --max-iterations 100".split()
+    told("tune", "brokk_hydrolek", "dls", *TIPS, *few, "-o", tmp_path / "mine.toml")
     assert (tmp_path / "mine.toml").exists()
-    out = tmp_path / "w.json"
-    run = CliRunner().invoke(application(), ["workspace", "brokk_hydrolek", *TIPS, "-n", "50", "-o", str(out)])
-    assert run.exit_code == 0, run.output
-    made = json.loads(out.read_text(encoding="utf-8"))
-    assert made["tip"] == "left_tip" and made["solvers"]["lm"]["solved"] == 50
+    found = told("workspace", "brokk_hydrolek", *TIPS, "-n", 50, "-o", tmp_path / "w.json")
+    assert found == json.loads((tmp_path / "w.json").read_text(encoding="utf-8"))
+    assert found["tip"] == "left_tip" and found["solvers"]["lm"]["solved"] == 50

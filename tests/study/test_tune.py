@@ -1,6 +1,5 @@
 """Tuning: spaces, searches, checkpoints, presets in a fresh process, the command."""
 
-import csv
 import json
 import subprocess
 import sys
@@ -8,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 import robots
+from folders import csv_rows
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.study.benchmark import wilson
 from ik_toolkit.study.engines import Evolution, Parameter, Swarm, make_space
@@ -19,13 +18,6 @@ from ik_toolkit.study.tune import Score, check_record, score, tune
 
 UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I
 SMALL = dict(targets=150, held_out=1, population=8)
-
-
-def test_wilson_interval():
-    # Newcombe (1998), Stat. Med. 17, table I: 81 of 263 and 15 of 148, method 3
-    assert np.round(wilson(81, 263), 4).tolist() == [0.2553, 0.3662]
-    assert np.round(wilson(15, 148), 4).tolist() == [0.0624, 0.1605]
-    assert wilson(0, 20)[0] == 0.0 and wilson(20, 20)[1] == 1.0
 
 
 def test_score_counts_all_sets():
@@ -81,9 +73,8 @@ def test_several_starts_from_the_published_matrices():
     published = ik.StateSpace.preset("burrell-2016")
     space = make_space(robot, "state-space", True, 6, published)
     rule = space.build(space.start)
-    one = make_space(robot, "state-space", True, 1, published).build(
-        make_space(robot, "state-space", True, 1, published).start
-    )
+    alone = make_space(robot, "state-space", True, 1, published)
+    one = alone.build(alone.start)
     assert np.abs(rule.B - one.B).max() < 1e-12 and rule.B.shape == (6, 6, 3)  # share 0: the published B at every start
     assert (rule.A == one.A).all() and (rule.C == one.C).all() and rule.starts.shape == (6, 6)
     own = space.make({**space.values(space.start), "share": 1.0})
@@ -163,10 +154,9 @@ def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
 
 @pytest.mark.parametrize("method", ["cma", "pso"])
 def test_a_single_parameter_is_searched(method):
-    found = tune(
-        robots.load("hydrolek_7w"), "dls", method=method, targets=100, held_out=1, generations=15, population=6
-    )
-    assert make_space(robots.load("hydrolek_7w"), "dls", True).size == 1
+    robot = robots.load("hydrolek_7w")
+    found = tune(robot, "dls", method=method, targets=100, held_out=1, generations=15, population=6)
+    assert make_space(robot, "dls", True).size == 1
     assert found.history[-1, 0] < found.history[0, 0]
 
 
@@ -249,29 +239,26 @@ def test_only_a_record_of_a_search_is_overwritten(tmp_path):
     check_record(mine)
 
 
-def test_a_refused_search_leaves_the_record_of_the_one_before(tmp_path):
+def test_a_refused_search_leaves_the_record_of_the_one_before(refused, tmp_path):
     robot, preset = robots.load("hydrolek_7w"), tmp_path / "mine.toml"
     tune(robot, "dls", generations=1, checkpoint=preset.with_suffix(".npz"), **SMALL)
     before = preset.with_suffix(".npz").read_bytes()
-    assert main(["tune", "hydrolek_7w", "dls", "--targets", "-1", "-o", str(preset)]) == 2
+    refused("tune", "hydrolek_7w", "dls", "--targets", -1, "-o", preset)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.npz"]
     assert preset.with_suffix(".npz").read_bytes() == before
 
 
 # ------------------------------------------------------------------------------------------------------------ command
-def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
+def test_command_writes_a_preset_that_another_process_reads(told, tmp_path):
     file, plot = tmp_path / "mine.toml", tmp_path / "plot.png"
-    arguments = ["tune", "hydrolek_7w", "state-space", "--maps", "3", "--generations", "4", "--population", "8"]
-    arguments += ["--targets", "150", "--held-out", "2", "-o", str(file), "--plot", str(plot), "--json"]
     scores = tmp_path / "scores.csv"
-    assert main([*arguments, "--csv", str(scores)]) == 0
-    told = json.loads(capsys.readouterr().out)
+    few = "--maps 3 --generations 4 --population 8 --targets 150 --held-out 2".split()
+    found = told("tune", "hydrolek_7w", "state-space", *few, "-o", file, "--plot", plot, "--csv", scores)
     assert plot.stat().st_size > 10_000 and file.with_suffix(".npz").exists()
-    with scores.open(newline="") as stream:
-        rows = {row["rule"]: row for row in csv.DictReader(stream)}
+    rows = {row["rule"]: row for row in csv_rows(scores)}
     assert set(rows) == {"default, held out", "start, held out", "tuned, held out", "tuned, training"}
-    assert float(rows["tuned, held out"]["share"]) == told["held_out"]["share"]
-    assert told["held_out"]["targets_a_set"] == 1000 and len(told["held_out"]["wilson_95"]) == 2
+    assert float(rows["tuned, held out"]["share"]) == found["held_out"]["share"]
+    assert found["held_out"]["targets_a_set"] == 1000 and len(found["held_out"]["wilson_95"]) == 2
     code = (
         "import ik_toolkit as ik; from ik_toolkit.study.tune import score; from ik_toolkit.study.targets import sample_targets\n"
         f"rule = ik.StateSpace.preset({str(file)!r}); robot = ik.Robot.load('hydrolek_7w')\n"
@@ -279,54 +266,41 @@ def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
         "print(score(robot, rule, sets, **rule.options()).successes)"
     )
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert json.loads(other.stdout) == told["held_out"]["successes"]
+    assert json.loads(other.stdout) == found["held_out"]["successes"]
     q = ik.StateSpace.preset(str(file)).starts[0]
-    x, y, z = robots.load("hydrolek_7w").fk(q).translation + 0.01
-    solve = [
-        "solve",
-        "hydrolek_7w",
-        "--xyz",
-        str(x),
-        str(y),
-        str(z),
-        "-s",
-        "state-space",
-        "--preset",
-        str(file),
-        "--json",
-    ]
-    assert main(solve) == 0
-    assert json.loads(capsys.readouterr().out)["iterations"] < 100
+    at = robots.load("hydrolek_7w").fk(q).translation + 0.01
+    assert told("solve", "hydrolek_7w", "--xyz", *at, "-s", "state-space", "--preset", file)["iterations"] < 100
 
 
 @pytest.mark.parametrize("solver", ["lm", "dls", "transpose"])
-def test_the_preset_of_every_tuned_solver_solves(tmp_path, capsys, solver):
+def test_the_preset_of_every_tuned_solver_solves(run, told, refused, tmp_path, solver):
     file = tmp_path / "mine.toml"
-    few = ["--targets", "20", "--held-out", "1", "--generations", "1", "--tolerance", "1e-4"]
-    assert main(["tune", "planar_2r", solver, *few, "-o", str(file)]) == 0
-    capsys.readouterr()
-    asked = ["solve", "planar_2r", "--xyz", "1", "0.5", "0", "--preset", str(file), "--json"]
-    assert main(asked) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["solver"] == solver and 1e-9 < told["position_error"] < 1e-4
-    assert main([*asked, "--tolerance", "1e-9"]) == 0  # what is asked for precedes what the preset says
-    assert json.loads(capsys.readouterr().out)["position_error"] < 1e-9
+    few = "--targets 20 --held-out 1 --generations 1 --tolerance 1e-4".split()
+    assert run("tune", "planar_2r", solver, *few, "-o", file)[0] == 0
+    asked = ["solve", "planar_2r", "--xyz", 1, 0.5, 0, "--preset", file]
+    found = told(*asked)
+    assert found["solver"] == solver and 1e-9 < found["position_error"] < 1e-4
+    # What is asked for precedes what the preset says.
+    assert told(*asked, "--tolerance", "1e-9")["position_error"] < 1e-9
     file.write_text("[parameters]\ndamping = 1\n")
-    assert main(asked) == 2 and "does not name its solver" in capsys.readouterr().err
+    assert "does not name its solver" in refused(*asked)
 
 
-def test_command_refuses_with_a_sentence(tmp_path, capsys):
-    for arguments in (
-        ["tune", "hydrolek_7w", "ccd"],
-        ["tune", "hydrolek_7w", "state-space", "-o", "x.json"],
-        ["tune", "hydrolek_7w", "state-space", "--from", "nothing"],
-        ["tune", "hydrolek_7w", "lm", "--from", "burrell-2016"],
-        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "none" / "x.toml")],
-        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "x.toml"), "--resume"],
-        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "x.toml"), "--plot", str(tmp_path / "none" / "x.png")],
-    ):
-        assert main(arguments) == 2
-        assert capsys.readouterr().err.startswith("ik: ")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "ccd",
+        "state-space -o x.json",
+        "state-space --from nothing",
+        "lm --from burrell-2016",
+        "dls -o none/x.toml",
+        "dls -o x.toml --resume",
+        "dls -o x.toml --plot none/x.png",
+    ],
+)
+def test_command_refuses_with_a_sentence(refused, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused("tune", "hydrolek_7w", *words.split())
     assert not list(tmp_path.iterdir())
 
 
@@ -336,16 +310,15 @@ def test_score_of_names_and_rules_agree():
     assert score(robot, "dls", sets, tolerance=1e-3) == score(robot, ik.DLS(), sets, tolerance=1e-3)
 
 
-def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(tmp_path, capsys):
+def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(run, told, tmp_path):
     """Few targets and few generations overfit: the better rule is saved, and the command says so."""
     file = tmp_path / "dls.toml"
-    arguments = ["tune", "hydrolek_7w", "dls", "--generations", "1", "--population", "4", "--targets", "3"]
-    assert main([*arguments, "--held-out", "2", "--json", "-o", str(file)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["held_out"]["share"] < told["default"]["share"]  # the premise: the search made it worse
-    assert told["kept"] in ("default", "start") and "no better on held-out targets" in told["verdict"]
-    assert main([*arguments, "--held-out", "2", "-o", str(file)]) == 0
-    assert "no better on" in " ".join(capsys.readouterr().out.split())
+    few = "tune hydrolek_7w dls --generations 1 --population 4 --targets 3 --held-out 2".split()
+    found = told(*few, "-o", file)
+    assert found["held_out"]["share"] < found["default"]["share"]  # the premise: the search made it worse
+    assert found["kept"] in ("default", "start") and "no better on held-out targets" in found["verdict"]
+    code, out, _ = run(*few, "-o", file)
+    assert code == 0 and "no better on" in " ".join(out.split())
     robot = robots.load("hydrolek_7w")
     again = tune(robot, "dls", generations=1, population=4, targets=3, held_out=2)
     sets = [sample_targets(robot, 1000, [0, 3, k], position_only=True) for k in range(2)]
