@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from references import accelerations, keeps_limits, least_time
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -16,11 +17,6 @@ REST = 4.0  # [s]
 @pytest.fixture(scope="module")
 def hydrolek():
     return ik.Robot.load("hydrolek_7w")
-
-
-def accelerations(robot):
-    """Full speed in 0.2 s."""
-    return 5.0 * robot.velocity_limits
 
 
 def turned(T0, degrees, rate):
@@ -48,23 +44,11 @@ def joints(robot, steps):
     return np.array([robot.home, *(step.q for step in steps)])
 
 
-def inside_all_limits(robot, Q):
-    """Whether positions, speeds and accelerations keep their limits at every sample, from rest on."""
-    speed = np.diff(Q, axis=0, prepend=Q[:1]) / DT
-    return (
-        ((robot.lower <= Q) & (robot.upper >= Q)).all()
-        and (np.abs(speed) <= robot.velocity_limits * (1.0 + 1e-9)).all()
-        and (np.abs(np.diff(speed, axis=0)) <= accelerations(robot) * DT * (1.0 + 1e-9)).all()
-    )
-
-
 def time_back(robot, steps, begin):
     """Time [s] from sample `begin` until the tip stays within 1 mm and 5 mrad, and the least the joints need for that way."""
     off = [k for k, s in enumerate(steps) if s.position_error > 1e-3 or (s.orientation_error or 0.0) > 5e-3]
     Q, back = joints(robot, steps), max(begin, off[-1] + 2 if off else 0)
-    way, v, a = np.abs(Q[back] - Q[begin]), robot.velocity_limits, accelerations(robot)
-    bound = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max()
-    return (back - begin) * DT, float(bound)
+    return (back - begin) * DT, least_time(robot, Q[back] - Q[begin], accelerations(robot))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +61,7 @@ def test_a_tool_turned_twice_is_followed(name, method, degrees):
     assert any(s.status is StepStatus.RECONFIGURING for s in steps)
     seconds, bound = time_back(robot, steps, len(targets) - round(REST / DT))
     assert seconds <= 1.3 * bound + DT and steps[-1].position_error < 1e-4 and steps[-1].orientation_error < 5e-4
-    assert inside_all_limits(robot, joints(robot, steps))
+    assert keeps_limits(robot, joints(robot, steps), DT, accelerations(robot))
 
 
 def test_switched_off_it_stays_and_says_so(panda):
@@ -108,7 +92,7 @@ def test_it_goes_through_joints_that_were_measured_late(panda):
         Q.append(step.q)
         statuses.add(step.status)
     assert StepStatus.RECONFIGURING in statuses and StepStatus.JUMPED not in statuses
-    assert step.position_error < 1e-4 and inside_all_limits(panda, np.array(Q[2:]))
+    assert step.position_error < 1e-4 and keeps_limits(panda, np.array(Q[2:]), DT, accelerations(panda))
 
 
 def test_nothing_is_touched_on_the_way(panda):
@@ -120,7 +104,8 @@ def test_nothing_is_touched_on_the_way(panda):
     assert any(model.collides(q) for q in joints(panda, follow(panda, targets))[::5])
     steps = follow(panda, targets, avoid_collisions=model)
     assert not any(model.collides(q) for q in joints(panda, steps)) and steps[-1].position_error < 1e-4
-    assert any(s.status is StepStatus.RECONFIGURING for s in steps) and inside_all_limits(panda, joints(panda, steps))
+    assert any(s.status is StepStatus.RECONFIGURING for s in steps)
+    assert keeps_limits(panda, joints(panda, steps), DT, accelerations(panda))
 
 
 def test_the_last_step_of_the_way_may_be_blocked(panda):
