@@ -110,7 +110,9 @@ def test_runs_that_diverge_end_with_a_sentence(planar, panda):
         assert np.isfinite(array).all()
     with pytest.warns(UserWarning, match="unstable at rest.*Try kp"):
         run = track(panda, panda_reference(panda, True), "ca", dt=0.01, kp=30000.0, kd=20.0, q0=Q0, limits=False)
-    assert run.status.name == "DIVERGED" and "Try kp" in run.message and np.isfinite(run.q).all()
+    assert run.status.name == "DIVERGED" and np.isfinite(run.q).all()
+    said = f"ca moved joints without bound after {len(run.t) - 1} of 1260 steps (t = {run.t[-1]:.4g} s)"
+    assert run.message == f"{said}. {run.gain_check.message}"
     assert json.loads(json.dumps(run.to_dict()))["success"] is False
 
 
@@ -125,12 +127,6 @@ def test_out_of_reach_and_back(planar, method):
         assert safe.status.name == "LEFT" and safe.damped.any() and safe.position_error[-60:].max() < 1e-3
         assert safe.position_error.max() > 0.0999  # out of reach is out of reach
         assert safe.position_error.max() < 0.2 or acceleration
-
-
-def test_unreachable_is_lost_and_says_limits(planar):
-    run = track(planar, ik.circle(center=(3.0, 0, 0), radius=0.1, duration=2.0), "cv")
-    assert run.status.name == "LOST" and "from the reference" in run.message
-    assert run.to_dict()["status"] == "LOST"
 
 
 def test_simulate_stops_at_the_edge_of_the_domain():

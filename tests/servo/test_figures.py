@@ -1,10 +1,13 @@
 """Figures of a run, each worked out again from its arrays, and what is said of a path that cannot be followed."""
 
+import json
+
 import numpy as np
 import pytest
 import robots
 
 import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
 from ik_toolkit.servo.path_reach import survey
 from ik_toolkit.text import length
 
@@ -26,24 +29,6 @@ def line(robot, q, move, duration, law="minimum-jerk"):
 
 def pose_line(robot, q, other, duration):
     return ik.line(robot.fk(q), robot.fk(other), duration=duration, law="minimum-jerk")
-
-
-def slowed(robot):
-    """A run faster than the joints are, so that the clock goes slower."""
-    q = np.array([0.3, 0.9])
-    return ik.track(robot, line(robot, q, (-0.9, 0.5, 0.0), 0.3), "cv", q0=q)
-
-
-def test_a_run_that_is_slowed(flat):
-    run = slowed(flat)
-    made = run.figures
-    assert run.added_time > 0.0 and made["added_time"] == pytest.approx(run.t[-1] - run.clock[-1], abs=1e-12)
-    assert 0.0 < made["slowed_time"] == pytest.approx((run.sigma < 1.0 - 1e-9).sum() * run.dt, abs=1e-12)
-    assert made["slowest"] == run.sigma.min() < 1.0
-    # The joint that took most from the clock, and not the one that held it back in most steps.
-    lost = [(1.0 - run.sigma)[run.pace == j].sum() for j in range(flat.n)]
-    assert run.pace_joint == run.joint_names[int(np.argmax(lost))]
-    assert f"{run.added_time:.3g} s longer than its 0.3 s, limited by {run.pace_joint}" in run.message
 
 
 def test_moves_speeds_and_their_rates(arm):
@@ -174,23 +159,17 @@ def test_every_array_is_in_the_files(arm, tmp_path):
     columns = [run.t, run.q, run.xyz, run.position_error, run.orientation_error, run.clock]
     np.testing.assert_array_equal(rows, np.column_stack(columns))
     told = run.to_dict()
-    for name in (
-        "robot",
-        "method",
-        "dt",
-        "message",
-        "position_tolerance",
-        "orientation_tolerance",
-        "settle",
-        "elapsed",
-        "searched",
-    ):
+    for name in "robot method dt message position_tolerance orientation_tolerance settle elapsed searched".split():
         assert told[name] == getattr(run, name), name
     assert told["status"] == run.status.name and told["between"] is None
     places = [tuple(point["positions"]) for point in run.to_ros()["points"]]
     assert places == [tuple(q) for q in run.q.tolist()]
-    speeds = [tuple(point["velocities"]) for point in run.to_ros()["points"]]
-    assert len(speeds) == len(run.t) and speeds[0] == tuple(run.rate[0].tolist())
+    ros = json.loads(run.save(tmp_path / "run.json").read_text())
+    assert ros == run.to_ros() and ros["joint_names"] == list(arm.joint_names)
+    assert [point["velocities"] for point in ros["points"]] == run.rate.tolist()
+    assert ros["points"][29]["time_from_start"] == {"sec": 0, "nanosec": 290_000_000}
+    with pytest.raises(InvalidOption, match=r"npz, \.csv or \.json"):
+        run.save(tmp_path / "run.txt")
 
 
 def test_files_of_several_tips(tmp_path):

@@ -60,8 +60,9 @@ def test_a_run_ends_after_the_stretch_it_is_allowed(panda):
     for wrong in (0.5, "long", np.nan):
         with pytest.raises(InvalidOption, match="max_stretch"):
             track(panda, ref, max_stretch=wrong)
-    with pytest.raises(InvalidOption, match=r"on_limit.*slow"):
-        track(panda, ref, on_limit="slwo")
+    for wrong, said in (("slwo", "on_limit.*slow"), ("direct", r"no on_limit 'direct'; 'direct' is for ik\.Tracker\.")):
+        with pytest.raises(InvalidOption, match=said):
+            track(panda, ref, on_limit=wrong)
 
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
@@ -74,41 +75,6 @@ def test_beyond_the_reach_the_arm_waits_at_its_edge(planar, method):
     assert (run.position_error <= least + late).all()  # where only half of a step is taken at the new rate
     assert most_turns(run.q, np.ones(2), run.dt) <= 3
     assert np.sign(run.q[0, 1]) == np.sign(run.q[-1, 1]) and run.position_error[-20:].max() < 1e-3
-
-
-@pytest.mark.parametrize("method", ["cv", "aad"])
-@pytest.mark.parametrize("acceleration", [None, 10.0])
-def test_far_out_of_reach_the_arm_rests_where_the_weighted_error_is_least(panda, method, acceleration):
-    """The tool turns towards a target half a metre out, as far as 0.2 m for a radian say; no joint swings about that pose."""
-    tracker = Tracker(panda, method, q0=Q0, rate0=np.zeros(7), acceleration_limits=acceleration)
-    target = panda.fk(Q0).homogeneous
-    target[:3, 3] *= (panda.reach + 0.5) / np.linalg.norm(target[:3, 3])
-    q = np.array([tracker.update(target, 0.01).q for _ in range(600)])
-    assert np.abs(np.diff(q[-100:], axis=0)).max() < 1e-4
-    T, J = (one[0] for one in panda.chain.forward(q[-1:], jacobian=True))
-    e = np.append(target[:3, 3] - T[:3, 3], 0.2 * pin.log3(target[:3, :3] @ T[:3, :3].T))
-    slope = np.append(J[:3], 0.2 * J[3:], axis=0).T @ e
-    stopped = (q[-1] <= panda.lower + 1e-7) & (slope < 0.0) | (q[-1] >= panda.upper - 1e-7) & (slope > 0.0)
-    assert np.abs(np.where(stopped, 0.0, slope)).max() < 1e-3 * np.linalg.norm(e)
-
-
-@pytest.mark.parametrize(
-    ("name", "q0", "way", "posed"),
-    [
-        ("panda", (-0.369, -0.299, 1.673, -2.365, -1.663, 1.98, 1.451), (0.078, 0.482, 0.873), True),
-        ("panda", (1.659, -0.651, 1.564, -1.703, 0.812, 2.332, -0.665), (0.136, -0.48, 0.037), True),
-        ("ur5", (3.56, 0.329, -0.409, -1.031, -3.229, 0.013), (-0.359, -0.248, 0.244), False),
-    ],
-)
-def test_out_of_reach_of_a_target_that_stands_the_arm_comes_to_rest(name, q0, way, posed):
-    """Without acceleration limits, where joints could turn back in every step."""
-    robot = ik.Robot.load(name)
-    target = robot.fk(q0).homogeneous
-    target[:3, 3] += way
-    tracker = Tracker(robot, q0=q0)
-    steps = [tracker.update(target if posed else target[:3, 3].copy(), 0.01) for _ in range(500)]
-    assert np.abs([step.rate for step in steps[-50:]]).max() < 0.01
-    assert steps[-1].position_error > 0.04
 
 
 @pytest.mark.parametrize(
@@ -228,9 +194,6 @@ def test_a_joint_locked_on_the_way_stays(panda):
         seen.append(step.q[3])
         assert abs(step.rate[3]) <= max(abs(before) - 0.1 * (k - 99), 0.0) + 1e-12
     assert np.ptp(seen[50:]) == 0.0 and step.position_error < 1e-4  # six joints are enough for a position
-    for wrong in ({"speed": -1.0}, {"upper": {"elbow": 1.0}}, {"lower": 9.0}, {"acceleration": "high"}):
-        with pytest.raises(InvalidOption):
-            tracker.change_limits(**wrong)
 
 
 @pytest.mark.parametrize("method", ["cv", "aad"])
@@ -296,9 +259,6 @@ def test_wishes_beside_the_task(panda):
         return np.prod(np.linalg.svd(panda.jacobian(q), compute_uv=False))
 
     assert volume(low.q) > volume(aside) + 1e-4  # rounding is 1e-16
-    for wrong in ({"posture": np.zeros(3)}, {"elbow": {"elbow": 1}}, {"elbow": 1}, {"cost": 3}, {"avoid_limits": -1.0}):
-        with pytest.raises((InvalidOption, InvalidConfiguration)):
-            Tracker(panda, **wrong)
 
 
 FORMS = {
@@ -344,23 +304,19 @@ def test_a_target_that_moves_and_turns_is_followed_in_what_counts(panda, frame):
 
 def test_several_tips():
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    left, right = (tree.fk(tree.home)[tip].homogeneous for tip in tree.tips)
-    refs = {}
-    for tip, T in zip(tree.tips, (left, right), strict=True):
-        end = T.copy()
-        end[:3, 3] += (0.0, 0.0, -0.05)
-        refs[tip] = ik.line(T, end, duration=2.0, law="minimum-jerk")
+    start, down = tree.fk(tree.home), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.05]))
+    refs = {tip: ik.line(T, down * T, duration=2.0, law="minimum-jerk") for tip, T in start.items()}
     run = track(tree, refs, "cv")
     assert run.success and run.xyz.shape == (201, 2, 3)
     at = tree.fk(run.q[-1])
     for tip in tree.tips:
         assert np.abs(at[tip].homogeneous - refs[tip].target(2.0)).max() < 1e-4
-    between = np.linalg.inv(left) @ right
+    between = start["left_tip"].actInv(start["right_tip"]).homogeneous
     tracker = Tracker(tree, "cv", relative_to={"right_tip": "left_tip"})
     for k in range(100):
         step = tracker.update({"left_tip": refs["left_tip"].target(0.02 * (k + 1)), "right_tip": between}, 0.02)
     at = tree.fk(step.q)
-    held = np.linalg.inv(at["left_tip"].homogeneous) @ at["right_tip"].homogeneous
+    held = at["left_tip"].actInv(at["right_tip"]).homogeneous
     assert np.abs(held - between).max() < 1e-3 and step.status is StepStatus.OK
     assert not (viability.BIT.held & step._outcome.code).any()
 

@@ -42,6 +42,10 @@ def test_the_verdict_reads_every_sample(planar, panda):
     assert run.status.name == "LEFT" and judged(run, panda, ref) > 1.0
     assert run.outside()[0] and not run.outside()[50:].any()
     assert f"out of tolerance in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
+    assert "It begins off the reference: start nearer, or give it time to settle" in run.message
+    late = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.02, on_limit="leave")
+    assert late.status.name == "LEFT" and not late.outside()[late.t < 0.02].any() and late.outside()[2]
+    assert "samples after 0.02 s" in late.message and "It begins off the reference" not in late.message
     later = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5, on_limit="leave")
     assert later.success and judged(later, panda, ref, settle=0.5) <= 1.0 and "after 0.5 s" in later.message
     assert later.to_dict()["settle"] == 0.5 and later.to_dict()["samples_outside"] == 0
