@@ -5,11 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from motions import between, folding
 from robots import MIMIC, have_data, planar_pose
+from robots import urdf as chain_of
 from serial_arms import urdf
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.errors import InvalidOption
 from ik_toolkit.paths.exact_branches import solutions
 from ik_toolkit.paths.result import PathStatus
 
@@ -22,11 +24,6 @@ def arm():
 @pytest.fixture(scope="module")
 def flat():
     return ik.Robot.load("planar_3r")
-
-
-def between(robot, a, b, count):
-    """Poses (count, 4, 4) of a motion that is linear in the joints."""
-    return np.array([robot.fk(q).homogeneous for q in np.linspace(a, b, count)])
 
 
 def test_one_motion_where_there_is_one(arm):
@@ -60,9 +57,7 @@ def test_poses_far_apart_are_followed_on_the_way_between_them():
 
 def test_a_break_between_poses_far_apart_lies_between_those_given(flat):
     """Five poses of the curve below, on which no branch is legal all along."""
-    s = np.linspace(0.0, 1.0, 5)[:, None]
-    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
-    made = ik.solve_path(flat, np.array([planar_pose(*one) for one in curve]))
+    made = ik.solve_path(flat, folding(5))
     assert made.status == PathStatus.RECONFIGURES and [one.index for one in made.reconfigurations] == [1]
     assert made.lower_bound == 1 and not made.unreachable and len(made.q) == 5
     assert [(made.at[piece.start], made.at[piece.stop - 1]) for piece in made.pieces] == [(0.0, 1.0), (2.0, 4.0)]
@@ -71,10 +66,7 @@ def test_a_break_between_poses_far_apart_lies_between_those_given(flat):
 
 
 def test_fewest_reconfigurations_of_a_branch_that_ends(flat):
-    """No branch is legal all along this curve; enumeration (scripts/benchmarks/path_truth.py) says one change does."""
-    s = np.linspace(0.0, 1.0, 101)[:, None]
-    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
-    T = np.array([planar_pose(*one) for one in curve])
+    T = folding(101)
     made = ik.solve_path(flat, T)
     assert made.status == PathStatus.RECONFIGURES and len(made.reconfigurations) == 1
     at = made.reconfigurations[0].index
@@ -98,9 +90,7 @@ def test_poses_out_of_reach_are_named(flat):
 
 def test_what_is_reached_without_a_reconfiguration_is_counted(flat):
     """A branch ends on the way, and the last poses are out of reach: both are said, and only rows that are there count."""
-    s = np.linspace(0.0, 1.0, 101)[:, None]
-    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
-    T = np.array([planar_pose(*one) for one in curve])
+    T = folding(101)
     T[98:, 0, 3] += 9.0
     made = ik.solve_path(flat, T, reconfigurations="none")
     there = np.isfinite(made.q[:, 0])
@@ -196,31 +186,6 @@ def test_a_held_joint_stays(arm):
     assert made.success and np.abs(made.q[:, 5] - q0[5]).max() < 1e-9
 
 
-def test_mistakes_are_named(arm):
-    T = between(arm, arm.home, arm.home + 0.1, 5)
-    for wrong in ("few", np.array([1, 2])):
-        with pytest.raises(InvalidOption, match="reconfigurations must be 'fewest'"):
-            ik.solve_path(arm, T, reconfigurations=wrong)
-    with pytest.raises(InvalidOption, match="max_step must be"):
-        ik.solve_path(arm, T, max_step=(0.1, -1.0))
-    with pytest.raises(InvalidOption, match="takes no 'closest'"):
-        ik.solve_path(arm, T, closest=True)
-    with pytest.raises(InvalidOption, match="progress must be a function of a fraction and a text"):
-        ik.solve_path(arm, T, progress=3)
-    with pytest.raises(InvalidTarget, match="at least one pose"):
-        ik.solve_path(arm, T[:0])
-    with pytest.raises(InvalidConfiguration, match="q0"):
-        ik.solve_path(arm, T, q0=[1.0])
-    for name, value in (("seed", -1), ("seed", 1.5), ("threads", 0), ("threads", "two")):
-        with pytest.raises(InvalidOption, match=f"{name} must be"):
-            ik.solve_path(arm, T, **{name: value})
-    with pytest.raises(InvalidOption, match=r"path_tolerance must be above position_tolerance, 1e-06 m"):
-        ik.solve_path(arm, T, path_tolerance=1e-7)
-    T[3, :3, :3] *= 2.0
-    with pytest.raises(InvalidTarget, match="target 3"):
-        ik.solve_path(arm, T)
-
-
 # ------------------------------------------------------------------------------------------------------------- redundant
 LINK = """
 <link name="l{k}"><collision><origin xyz="0.15 0 0"/><geometry><box size="0.26 0.05 0.05"/></geometry></collision></link>
@@ -303,14 +268,12 @@ def test_ctrl_c_keeps_the_best_path(snake, when):
 
 
 # ---------------------------------------------------------------------------------------------------------------- turns
-def test_a_joint_is_wound_up_no_further_than_its_limits(flat):
+def test_a_joint_is_wound_up_no_further_than_its_limits():
     """The tip turns on the spot by 500 degrees; the last joint has 720, so where it starts decides."""
-    text = '<robot name="r"><link name="b"/>'
-    for k, low in enumerate((-1.0, -1.0, -2.0 * np.pi)):
-        above, x = f"b{k - 1}" if k else "b", 1.0 if k else 0.0
-        text += f'<link name="b{k}"/><joint name="j{k}" type="revolute"><parent link="{above}"/><child link="b{k}"/>'
-        text += f'<axis xyz="0 0 1"/><origin xyz="{x} 0 0"/><limit lower="{low}" upper="{-low}" effort="1" velocity="1"/></joint>'
-    robot = ik.Robot.load(text + "</robot>", tip="b2")
+    joints = [(0, 1.0), (1, 1.0), (1, 2.0 * np.pi)]
+    robot = ik.Robot.load(
+        chain_of(*[dict(kind="revolute", xyz=f"{x} 0 0", limits=(-most, most)) for x, most in joints])
+    )
     for total, count in ((500.0, 0), (900.0, 1)):
         T = np.array([planar_pose(1.8, 0.1, x) for x in np.radians(np.linspace(0.0, total, 200))])
         made = ik.solve_path(robot, T)
