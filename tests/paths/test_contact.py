@@ -24,20 +24,15 @@ JOINT = """
 
 def arm():
     """Four revolute joints, one of which follows, and a slide, with cylinders for links."""
-    axes = ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 0 1"]
-    kinds = ["revolute", "revolute", "revolute", "revolute", "prismatic"]
-    mimic = {3: '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'}
+    follows = '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'
+    kinds = [("0 0 1", ""), ("0 1 0", ""), ("0 1 0", ""), ("1 0 0", follows), ("0 0 1", "")]
     joints = "".join(
         JOINT.format(
-            k=k,
-            kind=kinds[k],
-            parent=f"l{k - 1}" if k else "base",
-            up=0.3 if k else 0.1,
-            axis=axes[k],
-            mimic=mimic.get(k, ""),
+            k=k, kind="prismatic" if k == 4 else "revolute", parent=f"l{k - 1}" if k else "base", up=0.3 if k else 0.1,
+            axis=axis, mimic=mimic,
         )
-        for k in range(5)
-    )
+        for k, (axis, mimic) in enumerate(kinds)
+    )  # fmt: skip
     return ik.Robot.load(ARM.format(joints=joints), tip="l4")
 
 

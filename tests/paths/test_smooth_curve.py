@@ -36,9 +36,8 @@ def rounded(u, width=0.1, height=0.06, radius=0.02):
 
 
 def poses(robot, shape, count):
-    T = np.tile(robot.fk(robot.home).homogeneous, (count, 1, 1))
-    T[:, 1:3, 3] += shape(np.linspace(0.0, 1.0, count))
-    return T
+    aside = shape(np.linspace(0.0, 1.0, count))
+    return motions.moved(robot.fk(robot.home).homogeneous, np.column_stack([np.zeros(count), aside]))
 
 
 def shaken(trajectory):
