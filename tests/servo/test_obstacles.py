@@ -184,16 +184,6 @@ def test_a_refused_step_ends_at_rest_and_names_the_pair():
     assert refused > 10 and np.abs(rate).max() < 0.1 and not model.collides(q)
 
 
-def test_a_touching_start_is_said_and_held():
-    robot, model, q = ball_in_the_way(1e-3)
-    model.add_sphere(0.2, robot.fk(q), "knot")
-    guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
-    assert guard.restart(q) == ("link_2", "knot")
-    assert not guard.allows(q, np.zeros(2), q + 0.001, np.full(2, 0.1), 0.01)
-    held, still = guard.brake(q, np.zeros(2), 0.01)
-    assert np.array_equal(held, q) and not still.any()
-
-
 def test_what_is_added_later_counts():
     robot, model, q = ball_in_the_way(0.5)
     guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
