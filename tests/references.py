@@ -67,3 +67,11 @@ def least_time(robot, way, a=None):
     if a is None:
         return float((way / v).max())
     return float(np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max())
+
+
+def line_of(robot, q, way, duration, law="minimum-jerk", free=False):
+    """Straight line of the tip from where it is at q; its orientation is kept, or free."""
+    start, way = robot.fk(q), np.array(way)
+    if free:
+        return ik.line(start.translation, start.translation + way, duration=duration, law=law)
+    return ik.line(start, pin.SE3(start.rotation, start.translation + way), duration=duration, law=law)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import robots
+from references import line_of
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -20,11 +21,6 @@ def arm():
 @pytest.fixture(scope="module")
 def flat():
     return robots.load("planar_2r")
-
-
-def line(robot, q, move, duration, law="minimum-jerk"):
-    start = robot.fk(q).translation
-    return ik.line(start, start + np.array(move), duration=duration, law=law)
 
 
 def pose_line(robot, q, other, duration):
@@ -79,7 +75,7 @@ def test_a_run_near_a_singular_pose_counts_the_time_it_is_damped(flat):
 # -------------------------------------------------------------------------------------------------- what a survey says
 def test_a_path_that_ends_the_reach_says_where_and_why(flat, arm):
     q = np.array([0.3, 0.9])
-    out = line(flat, q, 2.0 * flat.fk([0.75, 0.0]).translation * (1.0, 1.0, 0.0), 4.0, "constant")
+    out = line_of(flat, q, 2.0 * flat.fk([0.75, 0.0]).translation * (1.0, 1.0, 0.0), 4.0, "constant", free=True)
     found = survey(flat, out, q)
     start, end = out.at(0.0)[0][:3, 3], out.at(4.0)[0][:3, 3]
     reach = np.linalg.norm(flat.fk([0.0, 0.0]).translation[:2])
@@ -102,7 +98,7 @@ def test_a_path_that_ends_the_reach_says_where_and_why(flat, arm):
         )
     )
     bent = [0.1, 0.4, 0.8, 0.0]
-    message = survey(free, line(free, bent, (0.0, 0.0, 2.0), 4.0, "constant"), bent).message
+    message = survey(free, line_of(free, bent, (0.0, 0.0, 2.0), 4.0, "constant", free=True), bent).message
     assert message.endswith("the arm is at the edge of its reach")  # four joints can move a tip anywhere
 
 
@@ -126,7 +122,7 @@ def test_a_path_that_a_joint_limit_ends_names_the_joint():
 
 def test_a_path_that_is_only_too_fast_says_how_much(flat):
     q = np.array([0.3, 0.9])
-    run = ik.track(flat, line(flat, q, (-0.9, 0.5, 0.0), 0.2, "constant"), "cv", q0=q, on_limit="leave")
+    run = ik.track(flat, line_of(flat, q, (-0.9, 0.5, 0.0), 0.2, "constant", free=True), "cv", q0=q, on_limit="leave")
     made, reach = run.figures, run.reach
     hit = (run.limited & 7) > 0  # position, speed, acceleration
     assert hit.any() and made["time_at_limits"] == pytest.approx(hit.any(axis=1).sum() * run.dt)

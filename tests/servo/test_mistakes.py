@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+from references import line_of
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
@@ -23,8 +24,7 @@ SLACK = (0.01,) * 3 + (0.0,) * 3
 
 
 def line(robot):
-    start = robot.fk(robot.home).translation
-    return ik.line(start, start - np.array([0.1, 0.0, 0.0]), duration=0.2)
+    return line_of(robot, robot.home, (-0.1, 0.0, 0.0), 0.2, "constant", free=True)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
+from references import line_of
 from robots import have_data
 
 import ik_toolkit as ik
@@ -23,10 +24,7 @@ def arm():
 
 
 def straight(robot, step, free=False):
-    T = robot.fk(robot.home).homogeneous
-    end = T.copy()
-    end[:3, 3] += step
-    return ik.line(T[:3, 3], end[:3, 3], duration=5.0) if free else ik.line(T, end, duration=5.0)
+    return line_of(robot, robot.home, step, 5.0, "constant", free)
 
 
 @pytest.mark.parametrize("rate", [0.5, 2.0, 100.0])
@@ -116,7 +114,7 @@ def test_another_start_is_found_where_the_elbow_has_to_be_on_the_other_side():
     robot = ik.Robot.load("planar_2r")
     q0 = np.array([2.51234, -0.81234])  # the first joint ends at 2.618
     p = robot.fk(q0).translation
-    ref = ik.line(p, p + 0.4 * np.cross((0, 0, 1), p / np.linalg.norm(p)), duration=5.0)
+    ref = line_of(robot, q0, 0.4 * np.cross((0, 0, 1), p / np.linalg.norm(p)), 5.0, "constant", free=True)
     found, words = explain(robot, ref, q0)
     assert found.joints == ("joint_1",) and "from q0 = [" in words
     other = [float(x) for x in words.split("q0 = [")[1].split("]")[0].split(",")]

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import robots
+from references import line_of
 
 import ik_toolkit as ik
 from ik_toolkit.servo.result import TrackStatus
@@ -19,8 +20,7 @@ def flat():
 
 
 def line(robot, duration, move=(-0.2, 0.1, 0.0)):
-    start = robot.fk(Q).translation
-    return ik.line(start, start + np.array(move), duration=duration, law="minimum-jerk")
+    return line_of(robot, Q, move, duration, free=True)
 
 
 def between(run, judged):

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from references import Q0, most_turns, panda_reference
+from references import Q0, line_of, most_turns, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
@@ -22,14 +22,6 @@ def test_published_forms_are_themselves_where_nothing_binds(panda, method):
         assert np.array_equal(run.q, wanted.q) and np.array_equal(run.rate, wanted.rate)
         assert np.array_equal(run.clock, run.t) and (run.sigma == 1.0).all() and (run.pace == -1).all()
         assert run.status.name == "COMPLETED"
-
-
-def line_of(robot, q, way, duration):
-    """Straight line from the tip at q, its orientation kept."""
-    start = robot.fk(q).homogeneous
-    end = start.copy()
-    end[:3, 3] += way
-    return ik.line(start, end, duration=duration, law="minimum-jerk")
 
 
 @pytest.mark.parametrize("method", ["cv", "aad"])

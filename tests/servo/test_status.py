@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from references import line_of
 
 import ik_toolkit as ik
 from ik_toolkit.servo import loop, viability
@@ -90,10 +91,7 @@ def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
 
 def test_a_reference_of_one_sample_that_was_given_up_is_lost():
     robot = ik.Robot.load("hydrolek_7w")
-    start = robot.fk(robot.home).homogeneous
-    end = start.copy()
-    end[:3, 3] += (-0.1, 0.1, 0.0)
-    line = ik.line(start, end, duration=0.015)
+    line = line_of(robot, robot.home, (-0.1, 0.1, 0.0), 0.015, "constant")
     run = ik.track(robot, line, dt=0.01, acceleration_limits=2.0)
     assert run.clock[-1] < 0.9 * run.end
     assert run.status.name == "LOST" and not run.success and f"of {run.end:.4g} s of the reference" in run.message
