@@ -9,7 +9,6 @@ import pytest
 from references import Q0, panda_reference
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.servo.run import TrackInterrupted, track
 from ik_toolkit.servo.tracker import Tracker
@@ -126,41 +125,60 @@ def test_a_cost_that_is_not_finite_is_told_and_no_step_is_taken(panda):
     assert np.array_equal(tracker.q, before) and before[0] > Q0[0]
 
 
-def test_command(capsys, tmp_path):
+def test_command(run, tmp_path):
     plot, file = tmp_path / "cut.png", tmp_path / "cut.npz"
     cut = "track hydrolek_7w --path line --length 0.3 --axis 0 0 -1 --rate 200 -m ca".split()
-    assert main([*cut, "--plot", str(plot), "-o", str(file)]) == 0
-    out = capsys.readouterr()
-    assert "COMPLETED" in out.out and "shoulder_pitch" in out.out
+    code, out, _ = run(*cut, "--plot", plot, "-o", file)
+    assert code == 0 and "COMPLETED" in out and "shoulder_pitch" in out
     assert plot.stat().st_size > 20_000 and file.is_file()
-    assert main([*cut, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["success"] and data["figures"]["position"]["max"] < 1e-6 and data["stability"]["verdict"] == "stable"
+    code, out, _ = run(*cut, "--json")
+    data = json.loads(out)
+    assert code == 0 and data["success"] and data["figures"]["position"]["max"] < 1e-6
+    assert data["stability"]["verdict"] == "stable"
 
 
-def test_command_warns_and_refuses(capsys):
+def test_command_warns(run):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the command shows the warning itself
-        code = main("track planar_2r -m ca --kp 30000 --kd 20 --duration 3 --no-limits --json".split())
-    out = capsys.readouterr()
-    assert code == 1 and "unstable" in out.err and "Try kp" in out.err
-    assert json.loads(out.out)["status"] == "DIVERGED"
-    for arguments, words in (
-        (["--path", "circel"], "Did you mean 'circle'"),
-        (["-m", "cw"], "Did you mean 'cv'"),
-        (["--rate", "0"], "--rate"),
-        (["-o", "run.txt"], ".npz, .csv or .json"),
-        (["--path", "missing.csv"], "no reference file"),
-        (["-p", "damping=x"], "damping must be a number"),
-    ):
-        assert main(["track", "planar_2r", *arguments]) == 2
-        assert words in capsys.readouterr().err
+        code, out, err = run(*"track planar_2r -m ca --kp 30000 --kd 20 --duration 3 --no-limits --json".split())
+    assert code == 1 and "unstable" in err and "Try kp" in err and json.loads(out)["status"] == "DIVERGED"
 
 
-@pytest.mark.parametrize("pair", ["dt=0.1", "q0=3", "settle=1", "method=av", "robot=ur5", "acceleration_limits=3"])
-def test_command_refuses_what_has_an_option_of_its_own(pair, capsys):
-    assert main(["track", "planar_2r", "-p", pair]) == 2
-    assert f"-p cannot set {pair.split('=')[0]}" in capsys.readouterr().err
+OWN_OPTIONS = ("dt=0.1", "q0=3", "settle=1", "method=av", "robot=ur5", "acceleration_limits=3")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--path circel", "Did you mean 'circle'"),
+        ("-m cw", "Did you mean 'cv'"),
+        ("--rate 0", "--rate"),
+        ("-o run.txt", ".npz, .csv or .json"),
+        ("--path missing.csv", "no reference file"),
+        ("-p damping=x", "damping must be a number"),
+        ("--position-tolerance -1", "--position-tolerance"),
+        ("--orientation-tolerance 0", "--orientation-tolerance"),
+        ("--path line --length 0.1 --turns 1.5", "rounds of a line must be a whole number"),  # was one round
+        ("--path line --end 1.2 0.9 0 --turns 1.5", "rounds of a line must be a whole number"),
+        ("--axis 0 0 0", "--axis must not be zero"),
+        # They were passed over: `--length 0.1` alone gave a circle of 0.1 m radius.
+        ("--length 0.1", "--length cannot be used with --path circle; it takes --radius, --axis, --start"),
+        ("--path line --radius 0.1 --turns 1", "--radius cannot be used with --path line; it takes --length"),
+        ("--path eight --end 1 0 0", "--end cannot be used with --path eight"),
+        (
+            "--path line --end 1 0 0 --length 0.1 --axis 0 0 1",
+            "--length, --axis cannot be used with --path line with --end",
+        ),
+        (
+            "--path p.csv --turns 2 --law constant",
+            "--law, --turns cannot be used with a path from a file, which says all of it",
+        ),
+        *[(f"-p {pair}", f"-p cannot set {pair.split('=')[0]}") for pair in OWN_OPTIONS],
+    ],
+)
+def test_command_refuses(run, words, said):
+    code, _, err = run("track", "planar_2r", *words.split())
+    assert code == 2 and said in " ".join(err.split())
 
 
 def test_wrong_inputs_of_a_run_are_typed(panda, planar):

@@ -8,7 +8,6 @@ from references import Q0, panda_reference
 from robots import have_data
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.servo.run import track
 
@@ -16,11 +15,11 @@ DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not ins
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", pytest.param("kinova", marks=DATA)])
-def test_a_miss_in_the_middle_is_no_success(name, capsys):
+def test_a_miss_in_the_middle_is_no_success(name, run):
     """Both circles are met again before their last tenth, and the runs were called COMPLETED for it."""
-    assert main(["track", name, "--radius", "0.1", "--json"]) == 1
-    data = json.loads(capsys.readouterr().out)
-    assert data["status"] in ("LEFT", "LOST") and not data["success"] and data["samples_outside"] > 100
+    code, out, _ = run("track", name, "--radius", "0.1", "--json")
+    data = json.loads(out)
+    assert code == 1 and data["status"] in ("LEFT", "LOST") and not data["success"] and data["samples_outside"] > 100
     assert data["figures"]["position"]["max"] > 0.01 and data["position_tolerance"] == 0.001
     assert "tolerance 1 mm and 0.1 deg" in data["message"] and "between samples" in data["message"].lower()
 
@@ -85,13 +84,11 @@ def test_an_arm_that_starts_at_rest_has_half_a_second(planar):
                 track(planar, ref, dt=0.01, q0=q0, **{option: value})
 
 
-def test_the_verdict_of_the_command(capsys):
-    words = ["track", "planar_2r", "--q0", "0.3", "0.9", "--duration", "2", "--acceleration", "8", "--radius", "0.1"]
-    words.append("--position-only")
-    assert main([*words, "--json"]) == 0 and json.loads(capsys.readouterr().out)["settle"] == 0.5
-    assert main([*words, "--settle", "0"]) == 0
-    assert "SLOWED" in capsys.readouterr().out
-    assert main([*words, "--position-tolerance", "1e-9"]) == 1
-    assert "1 nm" in capsys.readouterr().err
-    assert main([*words, "--orientation-tolerance", "0"]) == 2
-    assert "--orientation-tolerance" in capsys.readouterr().err
+def test_the_verdict_of_the_command(run):
+    words = "track planar_2r --q0 0.3 0.9 --duration 2 --acceleration 8 --radius 0.1 --position-only".split()
+    code, out, _ = run(*words, "--json")
+    assert code == 0 and json.loads(out)["settle"] == 0.5
+    code, out, _ = run(*words, "--settle", "0")
+    assert code == 0 and "SLOWED" in out
+    code, _, err = run(*words, "--position-tolerance", "1e-9")
+    assert code == 1 and "1 nm" in err
