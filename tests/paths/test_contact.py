@@ -97,25 +97,6 @@ def test_a_bead_between_two_poses_is_found():
     assert not contacts  # where the motion breaks, nothing moves from the one row to the next
 
 
-def test_shapes_that_pass_within_a_tenth_of_a_millimetre_are_said_to_be_unproven():
-    """The arm turns about the upright under a plate: the gap stays the same all the way."""
-    robot = arm()
-    curve = np.array([[0.0, 1.2, 0.0, 0.0], [0.1, 1.2, 0.0, 0.0]])
-
-    def under(height):
-        return ik.CollisionModel(robot).add_box((3.0, 3.0, 0.01), (0.0, 0.0, height), name="plate")
-
-    free = under(2.0)
-    data, found, _ = free.workspace(np.zeros(len(free.geometry.collisionPairs)))
-    pin.computeDistances(robot.model, data, free.geometry, found, free._full(curve[0]))
-    gap = min(r.min_distance for r, pair in zip(found.distanceResults, free.pairs, strict=True) if "plate" in pair)
-    for left, proven in ((5e-5, False), (5e-4, True)):
-        clearance, contacts, unproven = find_contacts(
-            under(2.0 - gap + left), curve, np.arange(2.0), np.ones(1, dtype=bool)
-        )
-        assert not contacts and (unproven == ()) == proven and clearance <= left
-
-
 @pytest.mark.parametrize("name", ["arm", "brokk_hydrolek"])
 def test_no_move_brings_a_pair_nearer_than_the_bound(name):
     """Distances by coal at both ends of random moves differ by no more than the arms say."""

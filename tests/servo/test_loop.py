@@ -106,6 +106,7 @@ def test_limits_that_are_refused_change_nothing(panda):
     tracker = Tracker(panda, q0=Q0)
     for limits, words in (
         ({"lower": 2.0, "upper": 1.0}, "above"),
+        ({"speed": -0.1}, "speed must be numbers of at least 0"),
         ({"speed": 1.0, "acceleration": -1.0}, "acceleration must be numbers of at least 0"),
         ({"upper": 1.0, "speed": {"panda_joint1": [1.0, 2.0]}}, "panda_joint1 must be a number"),
         ({"lower": float("nan")}, "lower must be numbers, not"),

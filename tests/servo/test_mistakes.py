@@ -9,17 +9,6 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.servo.methods import Method
 
-
-@pytest.fixture(scope="module")
-def flat():
-    return robots.load("planar_2r")
-
-
-@pytest.fixture(scope="module")
-def tree():
-    return robots.load("two_arms")
-
-
 SLACK = (0.01,) * 3 + (0.0,) * 3
 
 
@@ -42,23 +31,23 @@ def line(robot):
         (dict(on_limit="clip", slack=SLACK), "slack is kept by the constrained step, so on_limit cannot be 'clip'"),
     ],
 )
-def test_options_of_a_tracker(flat, options, said):
+def test_options_of_a_tracker(planar, options, said):
     with pytest.raises((InvalidOption, InvalidConfiguration), match=said):
-        ik.Tracker(flat, **options).update(flat.fk(flat.home).translation, 0.01)
+        ik.Tracker(planar, **options).update(planar.fk(planar.home).translation, 0.01)
 
 
-def test_methods(flat):
+def test_methods(planar):
     with pytest.raises(InvalidOption, match=r"no tracking method 'aac'\. Did you mean 'a"):
-        ik.Tracker(flat, "aac")
+        ik.Tracker(planar, "aac")
     with pytest.raises(InvalidOption, match=r"reading must be 1, 2 or 3 .*, not 4"):
         Method("aa", reading=4)
     for reading in (1, 2, 3):
         assert Method("aa", reading=reading).reading == reading
 
 
-def test_what_is_followed(flat, tree):
+def test_what_is_followed(planar, tree):
     with pytest.raises(InvalidTarget, match=r"track follows a Reference .*, not tuple"):
-        ik.track(flat, (0.1, 0.2, 0.0))
+        ik.track(planar, (0.1, 0.2, 0.0))
     start = tree.fk(tree.home)
     each = {tip: ik.line(start[tip], start[tip], duration=1.0) for tip in tree.tips}
     first, second = tree.tips
@@ -109,10 +98,10 @@ def test_numbers_of_a_reference(part, place, factor, said):
         ik.track(robot, reference)
 
 
-def test_dt_and_stretch(flat):
+def test_dt_and_stretch(planar):
     with pytest.raises(InvalidOption, match=r"dt = 0.5 s is longer than the reference \(0.2 s\)"):
-        ik.track(flat, line(flat), dt=0.5)
+        ik.track(planar, line(planar), dt=0.5)
     with pytest.raises(InvalidOption, match="slack is kept by the constrained step"):
-        ik.track(flat, line(flat), on_limit="clip", slack=SLACK)
+        ik.track(planar, line(planar), on_limit="clip", slack=SLACK)
     with pytest.raises(InvalidConfiguration, match=r"q0 is outside the limits of joint_2; move it inside or use"):
-        ik.track(flat, line(flat), q0=[0.0, flat.upper[1] + 0.1])
+        ik.track(planar, line(planar), q0=[0.0, planar.upper[1] + 0.1])

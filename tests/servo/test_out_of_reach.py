@@ -6,7 +6,6 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.servo.step import StepStatus
-from ik_toolkit.servo.tracker import Tracker
 from ik_toolkit.servo.workspace import STATE
 
 
@@ -49,7 +48,7 @@ def test_the_arm_rests_where_no_way_down_is_left(name, method, acceleration, q0,
     """Joints at limits and singular poses ended the way 2 to 98 mm short of it, or turned back in every step."""
     robot = ik.Robot.load(name)
     target = np.array(place) if turn is None else pin.SE3(pin.exp3(np.array(turn)), np.array(place)).homogeneous
-    tracker = Tracker(robot, method, q0=q0, acceleration_limits=acceleration)
+    tracker = ik.Tracker(robot, method, q0=q0, acceleration_limits=acceleration)
     steps = [tracker.update(target, 0.01) for _ in range(800)]
     known = tracker._state.copy()
     tracker.update(np.nan * target, 0.01)
@@ -67,7 +66,7 @@ def test_a_stretched_arm_points_at_a_target_that_passes(method):
     robot = ik.Robot.load("planar_2r")
     angle = 0.3 + 0.5 * 0.01 * np.arange(301)
     targets = 1.5 * robot.reach * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    tracker = Tracker(robot, method, q0=[angle[0], 0.3])
+    tracker = ik.Tracker(robot, method, q0=[angle[0], 0.3])
     q = np.array([tracker.update(target, 0.01).q for target in targets[1:]])
     np.testing.assert_allclose(q[100:, 0], angle[101:], atol=5e-4)
     np.testing.assert_allclose(q[100:, 1], 0.0, atol=2e-3)
@@ -82,7 +81,7 @@ def test_beyond_reach_joints_follow_smoothly(name, method, pose):
     robot = ik.Robot.load(name)
     start = pin.SE3(robot.fk(0.5 * (np.maximum(robot.lower, -2.0) + np.minimum(robot.upper, 2.0))))
     out = start.translation / np.linalg.norm(start.translation)
-    tracker = Tracker(robot, method, q0=0.5 * (np.maximum(robot.lower, -2.0) + np.minimum(robot.upper, 2.0)))
+    tracker = ik.Tracker(robot, method, q0=0.5 * (np.maximum(robot.lower, -2.0) + np.minimum(robot.upper, 2.0)))
     rates = []
     for k in range(390):
         turn = pin.exp3(np.array([0.0, 0.0, 0.004 * k]))
@@ -96,7 +95,7 @@ def test_a_slow_joint_is_not_left_behind():
     """The torso of a TIAGo, up to 65 times slower than the arm's joints, follows what the stretched arm cannot."""
     robot = ik.Robot.load("tiago")
     q0 = np.array([0.0, 1.66, -0.527, -1.535, 0.144, 0.681, -1.08, -0.577])
-    tracker = Tracker(robot, q0=q0, rate0=np.zeros(8), acceleration_limits=5.0 * robot.velocity_limits)
+    tracker = ik.Tracker(robot, q0=q0, rate0=np.zeros(8), acceleration_limits=5.0 * robot.velocity_limits)
     target, errors = robot.fk(q0).homogeneous, []
     for _ in range(300):
         target[:3, 3] += 0.01 * robot.velocity_limits[0] * np.array([-0.5, 0.0, 0.8])
@@ -109,7 +108,7 @@ def test_an_arm_that_is_held_back_does_not_hold_back_the_other(acceleration):
     """Baxter: one target goes far out of reach, the other up and down by 5 cm. That arm fell behind by 14 mm, for ever."""
     robot = ik.Tree.load("baxter", tips=["left_gripper", "right_gripper"])
     limits = None if acceleration is None else acceleration * robot.velocity_limits
-    tracker = Tracker(robot, q0=robot.home, acceleration_limits=limits)
+    tracker = ik.Tracker(robot, q0=robot.home, acceleration_limits=limits)
     start, errors = {tip: T.homogeneous for tip, T in robot.fk(robot.home).items()}, []
     for k in range(500):
         targets = {tip: T.copy() for tip, T in start.items()}
@@ -126,7 +125,7 @@ def test_with_the_reach_as_length_scale_it_ends_where_solve_does():
     target[0, 3] += 1.2 * robot.reach
     target[:3, :3] = target[:3, :3] @ pin.exp3(np.array([0.3, 0.5, 0.2]))
     for options in ({"length_scale": robot.reach}, {}):
-        tracker = Tracker(robot, "cv", q0=robot.home, **options)
+        tracker = ik.Tracker(robot, "cv", q0=robot.home, **options)
         for _ in range(600):
             step = tracker.update(target, 0.02)
         ends.append(step)

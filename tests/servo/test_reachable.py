@@ -17,11 +17,6 @@ DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not ins
 SHIPPED = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return ik.Robot.load("hydrolek_7w")
-
-
 def straight(robot, step, free=False):
     return line_of(robot, robot.home, step, 5.0, "constant", free)
 

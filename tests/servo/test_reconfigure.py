@@ -14,11 +14,6 @@ DT = 0.01
 REST = 4.0  # [s]
 
 
-@pytest.fixture(scope="module")
-def hydrolek():
-    return ik.Robot.load("hydrolek_7w")
-
-
 def turned(T0, degrees, rate):
     """T0 (4, 4) turned about the tool's axis at up to a rate [rad/s], from rest to rest, then standing."""
     full = np.radians(degrees)
@@ -76,8 +71,8 @@ def test_switched_off_it_stays_and_says_so(panda):
         ik.Tracker(panda, reconfigure="no")
 
 
-def test_the_reason_names_the_joint_that_ended_the_last_posture(hydrolek):
-    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0))
+def test_the_reason_names_the_joint_that_ended_the_last_posture(arm):
+    steps = follow(arm, turned(arm.fk(arm.home).homogeneous, 720.0, 2.0))
     reasons = {s.reason for s in steps if s.status is StepStatus.RECONFIGURING}
     assert any("another posture" in one and "wrist_roll" in one for one in reasons), reasons
 
@@ -119,16 +114,16 @@ def test_the_last_step_of_the_way_may_be_blocked(panda):
     assert gap(T, way._vain) == 0.0
 
 
-def test_an_elbow_keeps_its_side(hydrolek):
-    elbow = {"elbow_pitch": float(np.sign(hydrolek.home[hydrolek.joint_names.index("elbow_pitch")]))}
-    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0), elbow=elbow)
-    side = joints(hydrolek, steps)[:, hydrolek.joint_names.index("elbow_pitch")] * elbow["elbow_pitch"]
+def test_an_elbow_keeps_its_side(arm):
+    elbow = {"elbow_pitch": float(np.sign(arm.home[arm.joint_names.index("elbow_pitch")]))}
+    steps = follow(arm, turned(arm.fk(arm.home).homogeneous, 720.0, 2.0), elbow=elbow)
+    side = joints(arm, steps)[:, arm.joint_names.index("elbow_pitch")] * elbow["elbow_pitch"]
     assert (side >= -1e-12).all()
 
 
-def test_out_of_all_reach_nothing_changes(panda, hydrolek):
+def test_out_of_all_reach_nothing_changes(panda, arm):
     """Half a metre out of reach and back: the same commands, to the last bit, as without."""
-    for robot in (panda, hydrolek):
+    for robot in (panda, arm):
         T0 = robot.fk(robot.home).homogeneous
         way = np.concatenate([np.linspace(0.0, 1.0, 150), np.ones(250), np.linspace(1.0, 0.0, 150)])
         targets = np.repeat(T0[None], len(way), axis=0)
@@ -145,15 +140,15 @@ def test_a_locked_joint_is_left_alone(panda):
         assert tracker.update(T, DT).status is not StepStatus.RECONFIGURING
 
 
-def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(hydrolek):
-    tracker, away = ik.Tracker(hydrolek), hydrolek.fk(hydrolek.home).homogeneous
+def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(arm):
+    tracker, away = ik.Tracker(arm), arm.fk(arm.home).homogeneous
     tracker.update(away, DT)
     away[:3, 3] += (0.0, 0.0, 3.0)  # out of reach
     while not tracker._behind:
         tracker.update(away, DT)
     way = tracker._ways[-1]
     way._lost = 1.0
-    back = hydrolek.fk(tracker.q)
+    back = arm.fk(tracker.q)
     for _ in range(30):
         tracker.update(back, DT)
     assert way._lost == 0.0 and not tracker._behind
@@ -180,8 +175,8 @@ def test_a_joint_that_is_locked_meanwhile_ends_it(panda, search):
 
 
 @pytest.mark.parametrize("what", ["posture", "leap"])
-def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(hydrolek, what):
-    robot = hydrolek
+def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(arm, what):
+    robot = arm
     tracker = ik.Tracker(robot, q0=robot.home, acceleration_limits=accelerations(robot))
     targets = turned(robot.fk(robot.home).homogeneous, 360.0, 2.0)
     if what == "leap":

@@ -10,8 +10,7 @@ from references import Q0, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.servo.run import TrackInterrupted, track
-from ik_toolkit.servo.tracker import Tracker
+from ik_toolkit.servo.run import TrackInterrupted
 
 
 @pytest.mark.parametrize(("rule", "position", "orientation"), [
@@ -21,7 +20,7 @@ from ik_toolkit.servo.tracker import Tracker
     pytest.param("pid", 0.01, 0.1, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_solver_rules_as_trackers(panda, rule, position, orientation):
-    run = track(panda, panda_reference(panda, True, 6.0), rule, dt=0.005, q0=Q0)
+    run = ik.track(panda, panda_reference(panda, True, 6.0), rule, dt=0.005, q0=Q0)
     assert run.gain_check is None and len(run.t) == 1201
     assert run.figures["position"]["settled_max"] < position
     assert run.figures["orientation"]["settled_max"] < orientation
@@ -30,7 +29,7 @@ def test_solver_rules_as_trackers(panda, rule, position, orientation):
 def test_wrong_options_of_a_rule_are_refused(panda):
     ref = panda_reference(panda, True, 1.0)
     with pytest.raises(InvalidOption, match="no option 'dampling'"):
-        track(panda, ref, "dls", dampling=1.0)
+        ik.track(panda, ref, "dls", dampling=1.0)
 
 
 @pytest.mark.parametrize("method", ["cv", "lm"])
@@ -49,7 +48,7 @@ def test_wrong_names_are_refused_before_anything_runs(panda, method):
     ref = panda_reference(panda, True, 1.0)
     for wrong, meant in (("max_strech", "max_stretch"), ("positon_tolerance", "position_tolerance"), ("q_0", "q0")):
         with pytest.raises(InvalidOption, match=f"{method} has no option '{wrong}'. Did you mean '{meant}'"):
-            track(panda, ref, method, **{wrong: 1.0})
+            ik.track(panda, ref, method, **{wrong: 1.0})
     with pytest.raises(InvalidOption, match=f"{method} has no option 'acceleration_limit'. .*'acceleration_limits'"):
         ik.Tracker(panda, method, acceleration_limit=1.0)
 
@@ -185,26 +184,26 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
     for robot in (None, "panda"):
         with pytest.raises(InvalidOption, match=r"Robot\.load"):
-            track(robot, ref)
+            ik.track(robot, ref)
         with pytest.raises(InvalidOption, match=r"Robot\.load"):
-            Tracker(robot)
+            ik.Tracker(robot)
     no_joints = (np.zeros(3), np.full(7, np.nan), {}, np.zeros((7, 1)))
     for call, option, error, values in (
-        (track, "dt", IKError, (0.0, -0.01, np.nan, None, "fast")),
-        (track, "limits", IKError, (3, "no")),
-        (track, "acceleration_limits", IKError, (np.nan, "high")),
-        (track, "kappa", IKError, ("high", None)),
-        (track, "q0", InvalidConfiguration, no_joints),
-        (track, "rate0", InvalidConfiguration, no_joints),
-        (Tracker, "jump", InvalidOption, (0.0, -1.0, np.nan, "far")),
+        (ik.track, "dt", IKError, (0.0, -0.01, np.nan, None, "fast")),
+        (ik.track, "limits", IKError, (3, "no")),
+        (ik.track, "acceleration_limits", IKError, (np.nan, "high")),
+        (ik.track, "kappa", IKError, ("high", None)),
+        (ik.track, "q0", InvalidConfiguration, no_joints),
+        (ik.track, "rate0", InvalidConfiguration, no_joints),
+        (ik.Tracker, "jump", InvalidOption, (0.0, -1.0, np.nan, "far")),
     ):
         for value in values:
             with pytest.raises(error, match=option):
-                call(panda, **({"reference": ref} if call is track else {}), **{option: value})
+                call(panda, **({"reference": ref} if call is ik.track else {}), **{option: value})
 
     for method in (None, ["cv"], 7):
         with pytest.raises(IKError, match=r"a solver must be a name|no tracking method"):
-            track(panda, ref, method)
+            ik.track(panda, ref, method)
 
     for change in (
         lambda T, V, A: (T, V),
@@ -215,7 +214,7 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ):
         broken = ik.Reference(lambda t, change=change: change(*ref.at(t)), 1.0, name="mine")
         with pytest.raises(InvalidTarget, match="reference 'mine' must give"):
-            track(panda, broken, q0=Q0)
+            ik.track(panda, broken, q0=Q0)
     with pytest.raises(InvalidOption, match="function of time"):
         ik.Reference(None, 1.0)
     for duration in (0.0, -1.0, np.nan, "long", None):
@@ -225,7 +224,7 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
 
 def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
     ref, calls = panda_reference(panda, True, 1.0), []
-    run = Tracker.run
+    run = ik.Tracker.run
 
     def interrupted(self, *args, **options):
         calls.append(1)
@@ -233,8 +232,8 @@ def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
             raise KeyboardInterrupt
         return run(self, *args, **options)
 
-    monkeypatch.setattr(Tracker, "run", interrupted)
+    monkeypatch.setattr(ik.Tracker, "run", interrupted)
     with pytest.raises(TrackInterrupted) as caught:
-        track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
+        ik.track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
     kept = caught.value.result
     assert str(caught.value).startswith("interrupted") and 0 < len(kept.t) < 101 and kept.q.shape == (len(kept.t), 7)

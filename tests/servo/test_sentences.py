@@ -14,11 +14,6 @@ from ik_toolkit.text import length
 Q = np.array([0.3, 0.9])
 
 
-@pytest.fixture(scope="module")
-def flat():
-    return robots.load("planar_2r")
-
-
 def line(robot, duration, move=(-0.2, 0.1, 0.0)):
     return line_of(robot, Q, move, duration, free=True)
 
@@ -33,23 +28,23 @@ def between(run, judged):
     )
 
 
-def test_runs_that_follow(flat):
-    whole = ik.track(flat, line(flat, 1.0), "cv", q0=Q)
+def test_runs_that_follow(planar):
+    whole = ik.track(planar, line(planar, 1.0), "cv", q0=Q)
     every = np.ones(len(whole.t), dtype=bool)
     told = f"followed the reference: error at most {length(whole.position_error.max())} at every sample."
     assert whole.status == TrackStatus.COMPLETED and whole.message == told + between(whole, every)
-    slow = ik.track(flat, line(flat, 0.4), "cv", q0=Q, position_tolerance=1e-5)
+    slow = ik.track(planar, line(planar, 0.4), "cv", q0=Q, position_tolerance=1e-5)
     took = f"{slow.added_time:.3g} s longer than its 0.4 s, to keep within its tolerance"
     told = f"followed the reference, {took}: error at most {length(slow.position_error.max())} at every sample."
     assert slow.status == TrackStatus.SLOWED and slow.success and slow.message.startswith(told)
-    late = ik.track(flat, line(flat, 1.0), "cv", q0=Q + 0.02, settle=0.5, on_limit="leave")
+    late = ik.track(planar, line(planar, 1.0), "cv", q0=Q + 0.02, settle=0.5, on_limit="leave")
     judged = late.t >= 0.5
     told = f"followed the reference: error at most {length(late.position_error[judged].max())} at every sample after 0.5 s."
     assert late.message.startswith(told) and late.message.endswith(between(late, judged))
 
 
-def test_runs_that_leave(flat):
-    run = ik.track(flat, line(flat, 1.0), "cv", q0=Q + 0.02)
+def test_runs_that_leave(planar):
+    run = ik.track(planar, line(planar, 1.0), "cv", q0=Q + 0.02)
     out = run.position_error > 1e-3
     assert run.status == TrackStatus.LEFT and (run.outside() == out).all() and out[0] and not out[-1]
     worst = int(np.argmax(run.position_error))
@@ -60,7 +55,7 @@ def test_runs_that_leave(flat):
     )
     assert run.message.startswith(told) and "It begins off the reference: start nearer" in run.message
     # Beyond its reach at the end.
-    away = ik.track(flat, line(flat, 2.0, (2.0, 0.0, 0.0)), "cv", q0=Q, on_limit="leave")
+    away = ik.track(planar, line(planar, 2.0, (2.0, 0.0, 0.0)), "cv", q0=Q, on_limit="leave")
     assert away.status == TrackStatus.LOST and " s to the end" in away.message
     pose = robots.load("hydrolek_7w")
     turned = ik.line(pose.fk(pose.home), pose.fk(pose.home + 0.1), duration=1.0)
@@ -84,9 +79,9 @@ def test_runs_that_leave(flat):
         (Q, (-1.0, 1.0, 0.0), dict(limits=False), "JUMPED", r"joint joint_2 moved .* in one step"),
     ],
 )
-def test_steps(flat, start, target, options, status, reason):
-    target = flat.fk(Q).translation if target is None else target
-    step = ik.Tracker(flat, q0=start, **options).update(target, 0.01)
+def test_steps(planar, start, target, options, status, reason):
+    target = planar.fk(Q).translation if target is None else target
+    step = ik.Tracker(planar, q0=start, **options).update(target, 0.01)
     assert step.status.name == status and re.fullmatch(reason, step.reason)
     told = f", {step.reason}" if reason else ""
     assert repr(step) == f"Step({status}, {step.position_error:.3g} m{told})"

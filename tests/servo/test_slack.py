@@ -6,12 +6,11 @@ from references import Q0, most_turns
 from robots import have_data
 
 import ik_toolkit as ik
-from ik_toolkit.servo.tracker import Tracker
 
 
 def out_and_back(robot, q0, method, **options):
     """Joints (N, n), and position errors, of a tracker whose target goes to twice its distance from the base and returns."""
-    tracker = Tracker(robot, method, q0=q0, slack=[0.03, 0.03, 0.03, 0.1, 0.1, 0.1], **options)
+    tracker = ik.Tracker(robot, method, q0=q0, slack=[0.03, 0.03, 0.03, 0.1, 0.1, 0.1], **options)
     start, Q, errors = robot.fk(q0).homogeneous, [q0], []
     for k in range(300):
         target = start.copy()
@@ -53,7 +52,7 @@ def test_joints_do_not_chatter_along_the_border(slack):
     pace = rng.uniform(1.0, 2.5, tree.n)
     way = 0.3 * tree.velocity_limits / pace * rng.choice([-1, 1], tree.n)
     way = np.clip(way, 0.45 * (low - q0), 0.45 * (high - q0))
-    tracker, Q, most = Tracker(tree, "cv", q0=q0, slack=slack), [q0], 0.0
+    tracker, Q, most = ik.Tracker(tree, "cv", q0=q0, slack=slack), [q0], 0.0
     for k in range(300):
         poses = tree.fk(q0 + way * (1.0 - np.cos(0.01 * (k + 1) * pace)))
         step = tracker.update(poses, 0.01)
@@ -68,6 +67,6 @@ def test_the_slack_of_rotations_is_along_its_axes_where_a_turn_is_free(name, see
     """It was kept along axes mirrored for the free turn: targets within reach ended up to 0.05 rad outside their slack."""
     robot, rng = ik.Robot.load(name), np.random.default_rng(seed)
     q, target = robot.random_q(rng), robot.fk(robot.random_q(rng)).homogeneous
-    tracker = Tracker(robot, q0=q, free_turn=rng.normal(size=3), slack=(0, 0, 0, 0.1, 0, 0.3), frame="tip")
+    tracker = ik.Tracker(robot, q0=q, free_turn=rng.normal(size=3), slack=(0, 0, 0, 0.1, 0, 0.3), frame="tip")
     steps = [tracker.update(target, 0.02) for _ in range(500)]
     assert max(step.orientation_error for step in steps[-100:]) < 1e-4 and steps[-1].status is ik.StepStatus.OK

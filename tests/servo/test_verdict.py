@@ -9,7 +9,6 @@ from robots import have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.servo.run import track
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 
@@ -37,15 +36,15 @@ def judged(run, robot, reference, position=1e-3, orientation=np.radians(0.1), se
 def test_the_verdict_reads_every_sample(planar, panda):
     ref = panda_reference(panda, True, 2.0)
     start = Q0 + 0.01
-    run = track(panda, ref, "cv", dt=0.01, q0=start, on_limit="leave")
+    run = ik.track(panda, ref, "cv", dt=0.01, q0=start, on_limit="leave")
     assert run.status.name == "LEFT" and judged(run, panda, ref) > 1.0
     assert run.outside()[0] and not run.outside()[50:].any()
     assert f"out of tolerance in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
     assert "It begins off the reference: start nearer, or give it time to settle" in run.message
-    late = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.02, on_limit="leave")
+    late = ik.track(panda, ref, "cv", dt=0.01, q0=start, settle=0.02, on_limit="leave")
     assert late.status.name == "LEFT" and not late.outside()[late.t < 0.02].any() and late.outside()[2]
     assert "samples after 0.02 s" in late.message and "It begins off the reference" not in late.message
-    later = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5, on_limit="leave")
+    later = ik.track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5, on_limit="leave")
     assert later.success and judged(later, panda, ref, settle=0.5) <= 1.0 and "after 0.5 s" in later.message
     assert later.to_dict()["settle"] == 0.5 and later.to_dict()["samples_outside"] == 0
     worst = float(run.position_error.max())
@@ -55,7 +54,7 @@ def test_the_verdict_reads_every_sample(planar, panda):
         (np.nextafter(worst, 0.0), turn, False),
         (worst, np.nextafter(turn, 0.0), False),
     ):
-        again = track(
+        again = ik.track(
             panda, ref, "cv", dt=0.01, q0=start, position_tolerance=position, orientation_tolerance=orientation, on_limit="leave"
         )  # fmt: skip
         assert again.success is good, (position, orientation)
@@ -66,22 +65,22 @@ def test_an_arm_that_starts_at_rest_has_half_a_second(planar):
     q0 = np.array([0.3, 0.9])
     ref = ik.circle(planar.fk(q0).translation, 0.2, duration=4.0)
     late = {"acceleration_limits": 8.0, "on_limit": "leave"}
-    run = track(planar, ref, "cv", dt=0.01, q0=q0, **late)
+    run = ik.track(planar, ref, "cv", dt=0.01, q0=q0, **late)
     assert run.settle == 0.5 and run.success and run.position_error.max() > 1e-3
-    assert track(planar, ref, "cv", dt=0.01, q0=q0, settle=0.0, **late).status.name == "LEFT"
-    assert track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0, settle=0.0).status.name == "SLOWED"
-    assert track(planar, ref, "cv", dt=0.01, q0=q0, rate0=np.zeros(2)).settle == 0.5
-    moving = track(planar, ref, "cv", dt=0.01, q0=q0)
+    assert ik.track(planar, ref, "cv", dt=0.01, q0=q0, settle=0.0, **late).status.name == "LEFT"
+    assert ik.track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0, settle=0.0).status.name == "SLOWED"
+    assert ik.track(planar, ref, "cv", dt=0.01, q0=q0, rate0=np.zeros(2)).settle == 0.5
+    moving = ik.track(planar, ref, "cv", dt=0.01, q0=q0)
     assert moving.settle == 0.0 and moving.success and judged(moving, planar, ref) <= 1.0
     short = ik.circle(planar.fk(q0).translation, 0.02, duration=0.4)
-    assert track(planar, short, "cv", dt=0.01, q0=q0, acceleration_limits=8.0).settle == pytest.approx(0.2)
+    assert ik.track(planar, short, "cv", dt=0.01, q0=q0, acceleration_limits=8.0).settle == pytest.approx(0.2)
     for settle in (-0.1, 4.0, np.nan, "soon"):
         with pytest.raises(InvalidOption, match="settle"):
-            track(planar, ref, dt=0.01, q0=q0, settle=settle)
+            ik.track(planar, ref, dt=0.01, q0=q0, settle=settle)
     for option in ("position_tolerance", "orientation_tolerance"):
         for value in (0.0, -1.0, np.nan, np.inf, "small", None):
             with pytest.raises(InvalidOption, match=option):
-                track(planar, ref, dt=0.01, q0=q0, **{option: value})
+                ik.track(planar, ref, dt=0.01, q0=q0, **{option: value})
 
 
 def test_the_verdict_of_the_command(run):
