@@ -88,20 +88,22 @@ def test_direction_is_kept_where_joints_are_too_slow():
     assert np.median(bent, axis=0)[0] < 0.05 * np.median(bent, axis=0)[1]
 
 
-def test_a_blocked_direction_slides():
-    J = np.array([[1.0, 0.0], [0.0, 1.0]])
-    step = Step(J, np.array([-1.0, -1.0]), np.array([0.0, 1.0]), mode=MODE.direct)  # no way along x
-    x = step(np.array([0.5, 0.5]), np.array([0.5, 0.5]))
+@pytest.mark.parametrize(
+    ("low", "high", "asked"),
+    [
+        ((-1.0, -1.0), (0.0, 1.0), (0.5, 0.5)),
+        (
+            (-1.0, 0.3),
+            (0.0, 0.5),
+            (1.0, 0.4),
+        ),  # y has to go on: that is no reason to leave it behind what is asked of it
+    ],
+)
+def test_a_blocked_direction_slides(low, high, asked):
+    """There is no way along x."""
+    step, asked = Step(np.eye(2), np.array(low), np.array(high), mode=MODE.direct), np.array(asked)
+    np.testing.assert_allclose(step(asked, asked), [0.0, asked[1]], atol=1e-12)
     assert step.status == OUTCOME.short
-    np.testing.assert_allclose(x, [0.0, 0.5], atol=1e-12)
-
-
-def test_a_joint_that_cannot_stop_at_once_does_not_choose_the_direction():
-    """No way along x, and y has to go on: that is no reason to leave y behind what is asked of it."""
-    step = Step(np.eye(2), np.array([-1.0, 0.3]), np.array([0.0, 0.5]), mode=MODE.direct)
-    x = step(np.array([1.0, 0.4]), np.array([1.0, 0.4]))
-    assert step.status == OUTCOME.short
-    np.testing.assert_allclose(x, [0.0, 0.4], atol=1e-12)
 
 
 def test_half_planes_that_contradict_are_loosened_by_the_least():

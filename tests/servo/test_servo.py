@@ -212,16 +212,15 @@ def test_joints_keep_off_their_limits_in_the_null_space(panda):
 
 
 def test_wishes_beside_the_task(panda):
-    goal = panda.fk(Q0).homogeneous
-    wanted = Q0 + 0.2
+    goal, wanted = panda.fk(Q0).homogeneous, Q0 + 0.2
     for option in ({"posture": wanted}, {"cost": lambda q: 0.5 * float((q - wanted) @ (q - wanted))}):
         tracker = ik.Tracker(panda, "cv", q0=Q0, avoid_limits=False, **option)
         for _ in range(300):
             step = tracker.update(goal, 0.01)
             assert step.position_error < 1e-6
         J = panda.jacobian(tracker.q)
-        rest = (np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - tracker.q)
-        assert np.linalg.norm(rest) < 0.05 * np.linalg.norm((np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - Q0))
+        null = np.eye(7) - np.linalg.pinv(J) @ J
+        assert np.linalg.norm(null @ (wanted - tracker.q)) < 0.05 * np.linalg.norm(null @ (wanted - Q0))
     # Q0 is symmetric: no motion beside the task raises it there
     aside = Q0 + np.array([0.0, 0.0, 0.3, 0.0, 0.2, 0.0, 0.0])
     low = ik.Tracker(panda, "cv", q0=aside, avoid_limits=False, manipulability=1.0)
