@@ -7,6 +7,7 @@ from ik_toolkit.compile.array_view import keep, view
 from ik_toolkit.compile.jit import cached
 from ik_toolkit.servo import constrained_step as rooms
 from ik_toolkit.servo.constrained_step import MODE, Allowed, StepTaken, TaskRate, constrain
+from ik_toolkit.servo.laws import LAW, Law
 
 
 def many(count):
@@ -19,17 +20,8 @@ def kernel(J, weight, ask, want, size, low, high, A, b, count, mode, step, mu, x
     (n, m), rows = J.shape, A.shape[0]
     block, none, rank = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n), np.full(m, weight.max())
     asked = TaskRate(
-        view(J),
-        view(weight),
-        view(rank),
-        view(ask),
-        view(want),
-        view(none),
-        view(size),
-        mode,
-        step,
-        mu,
-    )
+        view(J), view(weight), view(rank), view(ask), view(want), view(none), view(size), mode, step, mu
+    )  # fmt: skip
     allowed = Allowed(view(low), view(high), view(A), view(b), count)
     taken = StepTaken(view(x), view(active), view(kept))
     status = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
@@ -87,3 +79,8 @@ def planar(q):
     a = np.cumsum(q)
     x, y = np.cumsum(np.cos(a)[::-1])[::-1], np.cumsum(np.sin(a)[::-1])[::-1]
     return np.column_stack([-y, x])
+
+
+def law(code=LAW.cv, **values):
+    """A law of a tracker in which everything else is 0."""
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": MODE.leave, **values})

@@ -1,10 +1,11 @@
 """Path results shared by tests, made without a search."""
 
 import numpy as np
+from robots import planar_pose
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import KIND
-from ik_toolkit.paths.continuity import check, densify
+from ik_toolkit.paths.continuity import check, densify, settle_on_targets
 from ik_toolkit.paths.result import PathResult, PathStatus, Reconfiguration
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan
@@ -51,3 +52,32 @@ def wave(robot, count=40, size=0.3, seed=0):
 def load(name):
     """A shipped robot."""
     return ik.Robot.load(name)
+
+
+def between(robot, a, b, count):
+    """Poses (count, 4, 4) of a motion that is linear in the joints."""
+    return np.array([robot.fk(q).homogeneous for q in np.linspace(a, b, count)])
+
+
+def moved(T, by):
+    """A pose (4, 4) moved by each of (N, 3)."""
+    poses = np.repeat(T[None], len(by), axis=0)
+    poses[:, :3, 3] += by
+    return poses
+
+
+def folding(count):
+    """Poses (count, 4, 4) for planar_3r: no branch is legal all along, one change does (scripts/benchmarks/path_truth.py)."""
+    s = np.linspace(0.0, 1.0, count)[:, None]
+    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
+    return np.array([planar_pose(*one) for one in curve])
+
+
+def followed(plan, kind, T):
+    """Joints (N, n) along poses (N, 1, 4, 4) of a tip, each solved from the last, the first from home."""
+    q, rows = plan.robot.home[None], []
+    for pose in T:
+        q, good = settle_on_targets(plan, (kind,), q, pose[None])
+        assert good.all()
+        rows.append(q[0])
+    return np.array(rows)

@@ -20,19 +20,8 @@ def table(rng, kinds=KINDS):
         shift = rng.uniform(-0.4, 0.4, 2) if i else np.zeros(2)
         turn, slide = {"t": (1.0, 0.0), "s": (0.0, 1.0), "m": (-0.6, 0.0), "n": (0.0, 0.1), "o": (0.0, -1.4)}[kind]
         place = {"m": 0, "n": 0, "o": slides.index(True) if True in slides else 0}.get(kind, n)
-        rows.append(
-            [
-                math.cos(b),
-                math.sin(b),
-                *shift,
-                turn,
-                rng.uniform(-1, 1),
-                slide,
-                rng.uniform(0.1, 0.5),
-                place,
-                kind in "tm",
-            ]
-        )
+        turned, moved = rng.uniform(-1, 1), rng.uniform(0.1, 0.5)
+        rows.append([math.cos(b), math.sin(b), *shift, turn, turned, slide, moved, place, kind in "tm"])
         if kind in "ts":
             n += 1
             slides.append(kind == "s")
@@ -79,14 +68,12 @@ def arm(rng, kinds=KINDS, wide=False):
 
 def jacobian(rows, base, tip, q, d=1e-6):
     """By differences (6, n), base axes, linear first."""
-    T = fk(rows, base, tip, q)[0]
     J = np.empty((6, len(q)))
     for i in range(len(q)):
         step = np.zeros(len(q))
         step[i] = d
         a, b = fk(rows, base, tip, q - step)[0], fk(rows, base, tip, q + step)[0]
         J[:3, i] = (b[:3, 3] - a[:3, 3]) / (2 * d)
-        J[3:, i] = T[:3, :3] @ pin.log3(T[:3, :3].T @ b[:3, :3] @ a[:3, :3].T @ T[:3, :3]) / (2 * d)
         J[3:, i] = pin.log3(b[:3, :3] @ a[:3, :3].T) / (2 * d)
     return J
 
@@ -124,3 +111,8 @@ PARTS = [
     {}, {"w0": 0.5, "w4": 0.0, "w5": 2.0}, {"s0": 0.05, "s1": 3.0, "s3": 0.1, "s5": 3.0},
     {"free": 1.0, "ax": 0.6, "ay": 0.0, "az": 0.8}, {"free": 1.0, "ax": 0.0, "ay": 1.0, "az": 0.0, "w1": 0.3, "s4": 0.02},
 ]  # fmt: skip
+
+
+def packed(rows, base, tip, lower, upper, home=None):
+    """A chain of rows, from base to tip."""
+    return pack(rows, numbers(base), numbers(tip), lower, upper, np.zeros(len(lower)) if home is None else home)

@@ -33,3 +33,45 @@ def panda_reference(robot, pose, duration=12.6):
         return T, V, A
 
     return ik.Reference(function, duration, position_only=not pose)
+
+
+def most_turns(Q, limits, h=0.01):
+    """Most times that a joint of Q (N, n) turns back within 0.1 s, at 5 % of its speed limit or more."""
+    rates, most = np.diff(Q, axis=0) / h / limits, 0
+    for one in rates.T:
+        fast = np.flatnonzero(np.abs(one) > 0.05)
+        turns = fast[1:][np.diff(np.sign(one[fast])) != 0.0]
+        most = max([most, *(int(((turns >= k) & (turns < k + round(0.1 / h))).sum()) for k in turns)])
+    return most
+
+
+def accelerations(robot):
+    """Limits with which the joints are at full speed after 0.2 s."""
+    return 5.0 * robot.velocity_limits
+
+
+def keeps_limits(robot, Q, h, acceleration=np.inf):
+    """Whether positions, speeds and accelerations of joint values (N, n) from rest on keep their limits at every sample."""
+    speed = np.diff(Q, axis=0, prepend=Q[:1]) / h
+    top = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
+    return (
+        ((robot.lower <= Q) & (robot.upper >= Q)).all()
+        and (np.abs(speed) <= top * (1.0 + 1e-9)).all()
+        and (np.abs(np.diff(speed, axis=0)) <= acceleration * h * (1.0 + 1e-9)).all()
+    )
+
+
+def least_time(robot, way, a=None):
+    """Least time [s] the joints need for a way, from rest to rest; a (n,): their accelerations, if limited."""
+    way, v = np.abs(way), robot.velocity_limits
+    if a is None:
+        return float((way / v).max())
+    return float(np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max())
+
+
+def line_of(robot, q, way, duration, law="minimum-jerk", free=False):
+    """Straight line of the tip from where it is at q; its orientation is kept, or free."""
+    start, way = robot.fk(q), np.array(way)
+    if free:
+        return ik.line(start.translation, start.translation + way, duration=duration, law=law)
+    return ik.line(start, pin.SE3(start.rotation, start.translation + way), duration=duration, law=law)

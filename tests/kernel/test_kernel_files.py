@@ -16,6 +16,7 @@ from ik_toolkit.cli import main
 from ik_toolkit.cli.options import RobotOptions
 from ik_toolkit.compile import cache
 
+pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 SOURCE = """
 from ik_toolkit.compile.jit import cached
 
@@ -56,7 +57,6 @@ def double(tmp_path, caplog, monkeypatch):
 MADE, DAMAGED, UNKEPT = ("ik_toolkit.compile", "INFO"), ("ik_toolkit.cache", "WARNING"), ("ik_toolkit.cache", "WARNING")
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_compiling_is_said_when_it_happens_and_only_then(double):
     assert double() == [MADE]
     assert double() == []
@@ -72,7 +72,6 @@ def cuts(data):
     yield from (b"\0" * len(data), data + b"\0", pickle.dumps(KeyboardInterrupt()), cache.HEAD)
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_damaged_file_is_noticed_and_made_anew(double):
     double()
     (path,) = double.files()
@@ -83,7 +82,6 @@ def test_a_damaged_file_is_noticed_and_made_anew(double):
         assert double() == []
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_file_of_another_key_is_not_taken(double):
     """Two kernels may not be mixed up, whatever a file is called."""
     double()
@@ -93,7 +91,6 @@ def test_a_file_of_another_key_is_not_taken(double):
     assert double() == [MADE]
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EROFS, errno.EACCES])
 @pytest.mark.parametrize("call", ["write_bytes", "replace"])
 def test_a_disk_that_takes_nothing_is_said_once(double, monkeypatch, call, error):
@@ -106,7 +103,6 @@ def test_a_disk_that_takes_nothing_is_said_once(double, monkeypatch, call, error
     assert list(double.folder.glob("ik-*")) == []
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_files_of_other_sources_are_removed(double):
     double()
     (path,) = double.files()
@@ -119,7 +115,6 @@ def test_files_of_other_sources_are_removed(double):
 OTHERS = [0o777, 0o757, 0o775, 0o733]  # modes of a folder into which others may write; to root, its group is anybody's
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.parametrize("mode", OTHERS)
 def test_kernels_in_a_folder_that_others_may_write_are_neither_loaded_nor_kept(double, caplog, monkeypatch, mode):
     monkeypatch.setattr(cache, "_is_own_group", lambda group: False)
@@ -133,7 +128,6 @@ def test_kernels_in_a_folder_that_others_may_write_are_neither_loaded_nor_kept(d
     assert double() == []
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.parametrize("mode", [0o666, 0o664, 0o646])
 def test_a_kernel_that_others_may_write_is_made_anew(double, caplog, monkeypatch, mode):
     monkeypatch.setattr(cache, "_is_own_group", lambda group: False)
@@ -144,7 +138,6 @@ def test_a_kernel_that_others_may_write_is_made_anew(double, caplog, monkeypatch
     assert path.stat().st_mode & 0o777 == 0o644 and double() == []
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_who_may_have_written_a_kernel(double, monkeypatch):
     """The user and root; others not, whatever the mode; in a folder such as /tmp they can replace no file but their own."""
     double()
@@ -160,7 +153,6 @@ def test_who_may_have_written_a_kernel(double, monkeypatch):
     assert double() == [UNKEPT, MADE]
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_files_are_no_more_open_than_they_have_to_be(double):
     before = os.umask(0)
     try:
@@ -172,7 +164,6 @@ def test_files_are_no_more_open_than_they_have_to_be(double):
     assert path.stat().st_mode & 0o777 == 0o644
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_the_command_says_that_it_compiles_only_when_it_does(double, capsys, monkeypatch):
     """With a small kernel for that of a solver."""
     load = RobotOptions.load

@@ -84,12 +84,7 @@ def correct(robot, rows, T, position_only=False, tolerance=1e-6):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [
-        (name, kind)
-        for name in ARMS
-        for kind in (KIND.pose, KIND.position)
-        if kind != KIND.pose or name not in robots.PLANAR
-    ],
+    [*[(name, KIND.position) for name in ARMS], *[(name, KIND.pose) for name in ARMS if name not in robots.PLANAR]],
 )
 def test_answers_are_those_of_the_loop_in_all_but_choice(name, kind):
     robot = robots.load(name)

@@ -5,17 +5,12 @@ import itertools
 import numpy as np
 import pytest
 import quadprog
-from numba import config
+from constrained import many
 
 from ik_toolkit.compile.array_view import keep, view
 from ik_toolkit.compile.jit import cached
 from ik_toolkit.servo import equality_qp
 from ik_toolkit.servo.hierarchical_qp import CONTRADICTION, DONE, solve_levels
-
-
-def many(count):
-    """So many cases, or a few when the kernel is not compiled: for scripts/mutate.py, which wants tests of a second."""
-    return max(count // 40, 5) if config.DISABLE_JIT else count
 
 
 @cached

@@ -56,20 +56,13 @@ def test_every_array_made_for_a_view_is_kept():
         for function in ast.walk(ast.parse(path.read_text())):
             if not isinstance(function, ast.FunctionDef):
                 continue
-            own = [
-                node for node in ast.walk(function) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-            ]
-            made = {
-                target.id
-                for node in ast.walk(function)
-                if isinstance(node, ast.Assign)
-                for target in node.targets
-                if isinstance(target, ast.Name)
-            }
+            nodes = list(ast.walk(function))
+            own = [node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+            targets = [target for node in nodes if isinstance(node, ast.Assign) for target in node.targets]
+            made = {target.id for target in targets if isinstance(target, ast.Name)}
             for made_view in (call for call in own if call.func.id == "view"):
-                for name in names(made_view):
-                    if name in made:
-                        kept = [call.lineno for call in own if call.func.id == "keep" and name in names(call)]
-                        assert kept and max(kept) > made_view.lineno, f"{path.name}: keep({name}) is missing"
-                        seen += 1
+                for name in made.intersection(names(made_view)):
+                    kept = [call.lineno for call in own if call.func.id == "keep" and name in names(call)]
+                    assert kept and max(kept) > made_view.lineno, f"{path.name}: keep({name}) is missing"
+                    seen += 1
     assert seen >= 4

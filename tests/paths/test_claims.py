@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from motions import between
 from robots import load, planar_pose, urdf
 
 import ik_toolkit as ik
@@ -15,6 +16,16 @@ WOUND = urdf(
 )
 
 
+def flat_arm(*lengths, radius=0.0, links=()):
+    """A planar arm of links of these lengths, with a ball around the origin of some of them (l1, ... from the first joint on)."""
+    joints = [dict(kind="revolute", xyz=f"{x} 0 0") for x in (0, *lengths[:-1])]
+    text = urdf(*joints, dict(kind="fixed", xyz=f"{lengths[-1]} 0 0"))
+    for link in links:
+        ball = f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
+        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{ball}</link>')
+    return ik.Robot.load(text)
+
+
 def spun(degrees):
     """Path of a tip that turns on the spot, by an arm whose last joint has 401 degrees."""
     return ik.solve_path(ik.Robot.load(WOUND), np.array([planar_pose(1.8, 0.1, x) for x in np.radians(degrees)]))
@@ -22,8 +33,11 @@ def spun(degrees):
 
 # ------------------------------------------------------------------------------------------------- how few there can be
 def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
-    """The last joint has 401 degrees, so 800 take three pieces."""
+    """The last joint has 401 degrees: 340 take one piece if it starts a turn back, and 800 take three."""
+    whole = spun(np.linspace(170.0, 510.0, 137))
+    assert whole.success and not whole.reconfigurations and whole.lower_bound == 0
     dense = spun(np.arange(0.0, 801.0, 2.5))
+    assert (dense.q >= dense.robot.lower).all() and (dense.q <= dense.robot.upper).all()
     assert dense.status == PathStatus.RECONFIGURES and len(dense.reconfigurations) == 2 == dense.lower_bound
     assert "with 2 reconfigurations (provably the fewest), after pose" in dense.message
     # Between poses far apart several breaks would count as one, so no more than one is proven to be needed.
@@ -46,12 +60,8 @@ def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():
 # ------------------------------------------------------------------------------------------------------------- contact
 def test_a_motion_too_close_to_rule_out_contact_is_said_to_be():
     """A plate over an arm that moves in a plane: the gap of its ball is the same all the way."""
-    text = urdf(
-        dict(kind="revolute", xyz="0 0 0"), *[dict(kind="revolute", xyz="0.7 0 0")] * 2, dict(kind="fixed", xyz="1 0 0")
-    )
-    ball = '<link name="l4"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
-    robot = ik.Robot.load(text.replace('<link name="l4"/>', ball))
-    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8, 0.5], [0.302, 0.802, 0.5], 2)])
+    robot = flat_arm(0.7, 0.7, 1.0, radius=0.05, links=["l4"])
+    points = between(robot, [0.3, 0.8, 0.5], [0.302, 0.802, 0.5], 2)[:, :3, 3]
     for gap, proven in ((5e-5, False), (5e-4, True)):
         model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.055 + gap), name="plate")
         made = ik.solve_path(robot, points, avoid_collisions=model)
@@ -63,9 +73,7 @@ def test_a_motion_too_close_to_rule_out_contact_is_said_to_be():
 
 
 def test_the_clearance_of_a_single_pose_is_the_distance_there():
-    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
-    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
-    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
+    robot = flat_arm(1.0, 1.0, radius=0.05, links=["l3"])
     model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.3), name="plate")
     made = ik.solve_path(robot, robot.fk([0.3, 0.8]).translation[None], avoid_collisions=model)
     assert made.status == PathStatus.FOLLOWED and made.clearance == pytest.approx(0.3 - 0.005 - 0.05, abs=1e-6)
@@ -78,7 +86,7 @@ def test_a_path_holds_joints_of_weight_0_where_its_start_has_them():
     weights = [0 if j in held else 1 for j in range(7)]
     for start in (robot.home + 0.03, robot.home):
         end = start + np.array([0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0])
-        points = np.array([robot.fk(q).translation for q in np.linspace(start, end, 8)])
+        points = between(robot, start, end, 8)[:, :3, 3]
         given = None if start is robot.home else start
         made = ik.solve_path(robot, points, q0=given, joint_weights=weights)
         assert made.success and np.abs(made.q[:, held] - start[held]).max() < 1e-12
@@ -86,7 +94,7 @@ def test_a_path_holds_joints_of_weight_0_where_its_start_has_them():
 
 def test_a_reference_of_positions_is_followed():
     robot = load("planar_2r")
-    points = np.array([robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
+    points = between(robot, [0.3, 0.8], [0.5, 1.0], 2)[:, :3, 3]
     made = ik.solve_path(robot, ik.line(*points, duration=0.1))
     assert made.status == PathStatus.FOLLOWED and len(made.q) == 11
     assert np.allclose([robot.fk(q).translation for q in made.q], np.linspace(*points, 11), atol=1e-6)
@@ -95,11 +103,11 @@ def test_a_reference_of_positions_is_followed():
 # ---------------------------------------------------------------------------------------------------------- the sentence
 def test_a_motion_is_told_by_its_length():
     flat, slides = load("planar_2r"), load("cartesian_pp")
-    points = np.array([flat.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 3)])
+    points = between(flat, [0.3, 0.8], [0.5, 1.0], 3)[:, :3, 3]
     made = ik.solve_path(flat, points)
     assert made.message == f"3 poses followed in one motion of {made.length[0]:.3g} rad" and made.length[1] == 0.0
     assert ik.solve_path(flat, points[:1]).message == "1 pose followed in one motion of 0 rad"
-    points = np.array([slides.fk(q).translation for q in np.linspace(slides.home, slides.home + 0.02, 3)])
+    points = between(slides, slides.home, slides.home + 0.02, 3)[:, :3, 3]
     made = ik.solve_path(slides, points)
     assert (
         made.message == f"3 poses followed in one motion of 0 rad and {made.length[1]:.3g} m" and made.length[1] > 0.0
@@ -107,10 +115,8 @@ def test_a_motion_is_told_by_its_length():
 
 
 def test_a_path_that_only_collides_says_what_touches_and_where():
-    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
-    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
-    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
-    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 5)])
+    robot = flat_arm(1.0, 1.0, radius=0.05, links=["l3"])
+    points = between(robot, [0.3, 0.8], [0.5, 1.0], 5)[:, :3, 3]
     model = ik.CollisionModel(robot).add_sphere(0.02, points[2], name="post")
     made = ik.solve_path(robot, points, avoid_collisions=model)
     assert made.status == PathStatus.COLLISION and not made.success and made.clearance == 0.0
@@ -120,42 +126,10 @@ def test_a_path_that_only_collides_says_what_touches_and_where():
     assert made.message == f"5 poses followed, but only in collision ({where}); move the poses or the obstacle"
 
 
-def test_what_ends_a_path_early_is_told():
-    robot = load("planar_3r")
-    s = np.linspace(0.0, 1.0, 101)[:, None]
-    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
-    T = np.array([planar_pose(*one) for one in curve])
-    none = ik.solve_path(robot, T, reconfigurations=0)
-    last = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
-    assert none.message == (
-        f"with no reconfiguration the path found ends at pose {last} of 101: pose {last + 1} cannot be passed, and the whole "
-        f"path needs 1; from the start {100 * none.fraction:.3g} % of its length can be followed in one motion; allow them "
-        "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"
-    )
-    T[98, 0, 3] += 9.0
-    lost = ik.solve_path(robot, T)
-    assert lost.status == PathStatus.INCOMPLETE and [one.index for one in lost.unreachable] == [98]
-    assert lost.message == (
-        f"{np.isfinite(lost.q[:, 0]).sum()} of 101 poses reached; not pose 98: {lost.unreachable[0].reason}; from the start "
-        f"{100 * lost.fraction:.3g} % of its length can be followed in one motion; move the poses inside the reach"
-    )
-    assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
-
-
 # ------------------------------------------------------------------------------------------------- places and distances
-def balls(*radii):
-    """A planar arm of two links of 1 m, with a ball around the origin of each link."""
-    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
-    for k, radius in enumerate(radii):
-        ball = f'<link name="l{k}"><collision><geometry><sphere radius="{radius}"/></geometry></collision></link>'
-        text = text.replace(f'<link name="l{k}"/>', ball if radius else f'<link name="l{k}"/>')
-    return ik.Robot.load(text)
-
-
 def test_a_contact_between_poses_far_apart_is_placed_between_them():
-    robot = balls(0, 0, 0, 0.05)
-    Q = np.linspace([0.3, 0.8], [0.5, 1.0], 3)
-    ends = np.array([robot.fk(q).translation for q in Q[[0, 2]]])
+    robot = flat_arm(1.0, 1.0, radius=0.05, links=["l3"])
+    ends = between(robot, [0.3, 0.8], [0.5, 1.0], 2)[:, :3, 3]
     model = ik.CollisionModel(robot).add_sphere(0.02, 0.5 * (ends[0] + ends[1]), name="post")
     made = ik.solve_path(robot, ends, avoid_collisions=model)
     assert len(made.at) > 3 and made.status == PathStatus.COLLISION
@@ -163,14 +137,9 @@ def test_a_contact_between_poses_far_apart_is_placed_between_them():
 
 
 def test_joints_that_move_two_links_alike_take_nothing_from_their_clearance():
-    ball = '<link name="{0}"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
-    text = urdf(*[dict(kind="revolute", xyz=f"{x} 0 0") for x in (0, 1, 1)], dict(kind="fixed", xyz="0.5 0 0"))
-    for link in ("l1", "l2", "l3", "l4"):
-        text = text.replace(f'<link name="{link}"/>', ball.format(link))
-    robot = ik.Robot.load(text)
+    robot = flat_arm(1.0, 1.0, 0.5, radius=0.1, links=["l1", "l2", "l3", "l4"])
     model = ik.CollisionModel(robot)
-    poses = np.array([robot.fk([x, 1.0, 0.5]).homogeneous for x in np.linspace(0.0, 0.6, 25)])
-    made = ik.solve_path(robot, poses, avoid_collisions=model)
+    made = ik.solve_path(robot, between(robot, [0.0, 1.0, 0.5], [0.6, 1.0, 0.5], 25), avoid_collisions=model)
     assert made.status == PathStatus.FOLLOWED and np.ptp(made.q[:, 1:], axis=0).max() < 1e-5
     assert made.clearance == pytest.approx(model.distance(made.q[0]).distance, abs=1e-3)
 
@@ -181,7 +150,7 @@ def test_a_straight_motion_takes_the_time_it_must(speed):
     """One slide moves: full acceleration, full speed, full braking, or no full speed where the way is short."""
     robot, gain = load("cartesian_pp"), 0.8
     ends = robot.home + np.array([[-0.1, 0.0], [0.1, 0.0]])
-    points = np.array([robot.fk(q).translation for q in np.linspace(*ends, 21)])
+    points = between(robot, *ends, 21)[:, :3, 3]
     made = ik.solve_path(robot, points).retime(velocity=speed, acceleration=gain)
     way = 0.2
     least = way / speed + speed / gain if speed**2 / gain < way else 2.0 * np.sqrt(way / gain)

@@ -24,20 +24,15 @@ JOINT = """
 
 def arm():
     """Four revolute joints, one of which follows, and a slide, with cylinders for links."""
-    axes = ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 0 1"]
-    kinds = ["revolute", "revolute", "revolute", "revolute", "prismatic"]
-    mimic = {3: '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'}
+    follows = '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'
+    kinds = [("0 0 1", ""), ("0 1 0", ""), ("0 1 0", ""), ("1 0 0", follows), ("0 0 1", "")]
     joints = "".join(
         JOINT.format(
-            k=k,
-            kind=kinds[k],
-            parent=f"l{k - 1}" if k else "base",
-            up=0.3 if k else 0.1,
-            axis=axes[k],
-            mimic=mimic.get(k, ""),
+            k=k, kind="prismatic" if k == 4 else "revolute", parent=f"l{k - 1}" if k else "base", up=0.3 if k else 0.1,
+            axis=axis, mimic=mimic,
         )
-        for k in range(5)
-    )
+        for k, (axis, mimic) in enumerate(kinds)
+    )  # fmt: skip
     return ik.Robot.load(ARM.format(joints=joints), tip="l4")
 
 
@@ -100,25 +95,6 @@ def test_a_bead_between_two_poses_is_found():
     assert [contact.pair[1] for contact in contacts] == ["bead"]
     _, contacts, _ = find_contacts(model, np.array([a, b]), np.arange(2.0), np.zeros(1, dtype=bool))
     assert not contacts  # where the motion breaks, nothing moves from the one row to the next
-
-
-def test_shapes_that_pass_within_a_tenth_of_a_millimetre_are_said_to_be_unproven():
-    """The arm turns about the upright under a plate: the gap stays the same all the way."""
-    robot = arm()
-    curve = np.array([[0.0, 1.2, 0.0, 0.0], [0.1, 1.2, 0.0, 0.0]])
-
-    def under(height):
-        return ik.CollisionModel(robot).add_box((3.0, 3.0, 0.01), (0.0, 0.0, height), name="plate")
-
-    free = under(2.0)
-    data, found, _ = free.workspace(np.zeros(len(free.geometry.collisionPairs)))
-    pin.computeDistances(robot.model, data, free.geometry, found, free._full(curve[0]))
-    gap = min(r.min_distance for r, pair in zip(found.distanceResults, free.pairs, strict=True) if "plate" in pair)
-    for left, proven in ((5e-5, False), (5e-4, True)):
-        clearance, contacts, unproven = find_contacts(
-            under(2.0 - gap + left), curve, np.arange(2.0), np.ones(1, dtype=bool)
-        )
-        assert not contacts and (unproven == ()) == proven and clearance <= left
 
 
 @pytest.mark.parametrize("name", ["arm", "brokk_hydrolek"])

@@ -7,13 +7,11 @@ import pinocchio as pin
 import pytest
 import robots
 import trees
+from motions import followed, moved, plan_for, tips
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import AXIS, KIND
-from ik_toolkit.paths.continuity import bounds, check, densify, interpolate_poses, settle_on_targets
-from ik_toolkit.solvers.options import make_options
-from ik_toolkit.solvers.plan import Plan
-from ik_toolkit.solvers.registry import find_row
+from ik_toolkit.paths.continuity import bounds, check, densify, interpolate_poses
 from ik_toolkit.solvers.task import all_errors
 
 STRETCHES, SAMPLES = 5, 25
@@ -39,11 +37,6 @@ def loaded(name):
     if name == "two arms":
         return ik.Tree.load(trees.mixed(), tips=["left_tip", "right_tip"])
     return ik.Robot.load(name)
-
-
-def plan_for(robot, **options):
-    row = find_row("lm")
-    return Plan(robot, row, row.load()(), make_options(options))
 
 
 def kinds_of(robot, what):
@@ -91,8 +84,7 @@ def test_no_sample_between_two_poses_leaves_the_bound(name, what):
     for size in rng.choice([0.02, 0.1, 0.4], STRETCHES):
         a = robot.random_q(rng)
         b = np.clip(a + rng.uniform(-size, size, robot.n), robot.lower, robot.upper)
-        poses = [[arm.fk(q[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)] for q in (a, b)]
-        T = np.array([[free_part(pose, what, rng) for pose in row] for row in poses])
+        T = np.array([[free_part(pose, what, rng) for pose in row] for row in tips(robot, (a, b))])
         deviation, turn = bounds(plan, kinds, np.array([a, b]), np.arange(2.0), T)
         position, angle = sampled(robot, plan, kinds, a, b, T)
         assert position <= deviation[0] + 1e-9
@@ -130,28 +122,11 @@ def test_the_bound_is_near_what_is_found():
     assert np.median(ratios) < 3.0
 
 
-def line_of(robot, count, length):
-    """Poses (N, 1, 4, 4) of a straight line from the tip at home, and the joints at its first pose."""
-    T = np.tile(robot.fk(robot.home).homogeneous, (count, 1, 1, 1))
-    T[:, 0, 2, 3] += np.linspace(0.0, length, count)
-    return T
-
-
-def followed(plan, T):
-    """Joints (N, n) along poses, each solved from the last."""
-    q, rows = plan.robot.home[None], []
-    for pose in T:
-        q, good = settle_on_targets(plan, (KIND.pose,), q, pose[None])
-        assert good.all()
-        rows.append(q[0])
-    return np.array(rows)
-
-
 def test_poses_are_inserted_until_steps_and_bounds_hold():
     robot = loaded("hydrolek_7w")
     plan = plan_for(robot)
-    T = line_of(robot, 4, -0.15)
-    q = followed(plan, T)
+    T = moved(robot.fk(robot.home).homogeneous, np.outer(np.linspace(0.0, -0.15, 4), [0.0, 0.0, 1.0]))[:, None]
+    q = followed(plan, KIND.pose, T)
     step, tolerance = (np.radians(1.0), 0.02), (2e-5, np.radians(0.05))
     curve, at, cut = densify(plan, (KIND.pose,), q, T, [1], step, tolerance)
     assert cut.sum() == 1 and at[np.flatnonzero(cut)[0]] == 1.0  # nothing is inserted where the motion breaks

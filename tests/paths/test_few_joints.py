@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from motions import between, moved
 from robots import few_joints, have_data, urdf
 
 import ik_toolkit as ik
@@ -86,7 +87,7 @@ def test_what_needs_a_jump_is_found_out():
     joints = [dict(kind="revolute", axis="0 0 1"), dict(kind="revolute", axis="0 1 0", xyz="0 0 0.2")]
     joints += [dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3")] * 2
     robot = ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.1 0 0.1")))
-    T = np.array([robot.fk(q).homogeneous for q in np.linspace([0.1, 0.0, 1.0, -0.5], [0.3, 0.9, 1.0, -0.9], 31)])
+    T = between(robot, [0.1, 0.0, 1.0, -0.5], [0.3, 0.9, 1.0, -0.9], 31)
     limits = {"j3": (-0.77, 0.31)}  # with the elbow up it turns from -0.5 to -0.9, with the elbow down from 0.5 to 0.1
     assert ik.solve_path(robot, T).status is PathStatus.FOLLOWED
     made = ik.solve_path(robot, T, limits=limits)
@@ -102,8 +103,7 @@ def test_two_hands_follow_with_a_priority_and_keep_what_they_hold():
     tree = ik.Tree.load("brokk_hydrolek")
     (left, right), home = tree.tips, tree.fk(tree.home)
     held = home[left].actInv(home[right]).homogeneous
-    T = np.repeat(home[left].homogeneous[None], 8, axis=0)
-    T[:, :3, 3] += np.linspace(0.0, 1.0, 8)[:, None] * [0.05, 0.1, 0.1]
+    T = moved(home[left].homogeneous, np.outer(np.linspace(0.0, 1.0, 8), [0.05, 0.1, 0.1]))
     T[:, :3, :3] = [
         pin.exp3(np.array([0.0, 0.0, turn])) @ one[:3, :3]
         for turn, one in zip(np.linspace(0.0, 0.3, 8), T, strict=True)
@@ -125,7 +125,7 @@ def test_what_a_target_leaves_free_leads_to_no_lesser_pose(name, options):
     robot, rng = ik.Robot.load(name), np.random.default_rng(0)
     a = 0.6 * robot.random_q(rng) + 0.4 * robot.home
     b = 0.5 * (a + robot.random_q(rng))
-    T = np.array([robot.fk(a + (b - a) * s).homogeneous for s in np.linspace(0.0, 1.0, 12)])
+    T = between(robot, a, b, 12)
     T[:, :3, :3] = pin.exp3(rng.uniform(-0.4, 0.4, 3)) @ T[:, :3, :3]
     path = ik.solve_path(robot, T, priority="position", **options)
     assert path.status == PathStatus.FOLLOWED and path.position_error.max() < 2e-6
@@ -149,7 +149,7 @@ def test_poses_that_are_nearest_at_a_singular_pose_are_kept():
     robot, rng = ik.Robot.load("panda"), np.random.default_rng(1)
     a = 0.6 * robot.random_q(rng) + 0.4 * robot.home
     b = a + 0.5 * (robot.random_q(rng) - a)
-    T = np.array([robot.fk(a + (b - a) * s).homogeneous for s in np.linspace(0.0, 1.0, 12)])
+    T = between(robot, a, b, 12)
     T[:, :3, :3] = pin.exp3(rng.uniform(-0.4, 0.4, 3)) @ T[:, :3, :3]
     path = ik.solve_path(robot, T, q0=a, priority="position")
     away = [robot.fk(q).translation - one[0, :3, 3] for q, one in zip(path.q, path.targets, strict=True)]

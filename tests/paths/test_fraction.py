@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+from motions import moved
 
 import ik_toolkit as ik
 from ik_toolkit.paths.result import PathStatus
@@ -20,16 +21,8 @@ def test_a_line_out_of_reach_of_a_planar_arm(end):
         assert abs(path.fraction - 0.5 / (end - 0.5)) < 0.1 * EXACT
         assert f"from the start {100 * path.fraction:.3g} % of its length can be followed" in path.message
         assert path.to_dict()["fraction"] == path.fraction
-
-
-def test_a_path_that_is_followed_is_followed_whole():
-    arm = robots.load("planar_2r")
-    assert ik.solve_path(arm, [arm.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])]).fraction == 1.0
-
-
-def test_nothing_of_a_path_whose_first_pose_is_out_of_reach():
-    arm = robots.load("planar_2r")
-    assert ik.solve_path(arm, [(2.0 * arm.reach, 0.0, 0.0), (0.5 * arm.reach, 0.0, 0.0)]).fraction == 0.0
+    assert ik.solve_path(arm, line[::-1]).fraction == 0.0
+    assert ik.solve_path(arm, [line[0], 0.8 * line[0]]).fraction == 1.0
 
 
 @pytest.mark.parametrize(("name", "count"), [("hydrolek_7w", 2), ("inspection_7dof", 7)])
@@ -38,13 +31,9 @@ def test_poses_of_an_arm_against_single_solves(name, count):
     arm, rng = robots.load(name), np.random.default_rng(4)
     for _ in range(2):
         start, way = arm.fk(arm.random_q(rng)).homogeneous, rng.normal(size=3)
-        line = np.repeat(start[None], 401, axis=0)
-        line[:, :3, 3] += np.linspace(0.0, 1.2 * arm.reach, 401)[:, None] * (way / np.linalg.norm(way))
+        line = moved(start, np.outer(np.linspace(0.0, 1.2 * arm.reach, 401), way / np.linalg.norm(way)))
         reached = np.flatnonzero(~ik.solve_batch(arm, line).success)[0] / 400
-        path = ik.solve_path(
-            arm,
-            line[:: 400 // (count - 1)][:count] if count == 2 else line[np.linspace(0, 400, count).round().astype(int)],
-        )
+        path = ik.solve_path(arm, line[np.linspace(0, 400, count).round().astype(int)])
         assert path.fraction < reached + EXACT
         assert path.fraction > 0.5 * reached - EXACT
 
@@ -55,13 +44,10 @@ def test_with_a_priority_a_path_goes_at_least_as_far(name):
     arm, rng = robots.load(name), np.random.default_rng(6)
     q0 = 0.5 * (arm.random_q(rng) + arm.home)
     start, way = arm.fk(q0).homogeneous, rng.normal(size=3)
-    end = start.copy()
-    end[:3, 3] += 1.5 * arm.reach * way / np.linalg.norm(way)
-    whole = ik.solve_path(arm, [start, end], q0=q0).fraction
-    first = []
+    way *= 1.5 * arm.reach / np.linalg.norm(way)
+    whole, first = ik.solve_path(arm, moved(start, np.outer([0.0, 1.0], way)), q0=q0).fraction, []
     for count in (2, 9, 150):
-        line = np.repeat(start[None], count, axis=0)
-        line[:, :3, 3] += np.linspace(0.0, 1.0, count)[:, None] * (end - start)[:3, 3]
+        line = moved(start, np.outer(np.linspace(0.0, 1.0, count), way))
         path = ik.solve_path(arm, line, q0=q0, priority="position")
         assert path.status == PathStatus.INCOMPLETE and "joints, and the target fixes" not in path.message
         first.append(path.fraction)
@@ -83,8 +69,7 @@ def test_a_motion_ends_at_the_first_contact_even_between_the_poses(share):
 
 def test_an_arm_with_few_joints_follows_as_far_as_single_solves_reach():
     arm = robots.load("so101")
-    line = np.repeat(arm.fk(arm.home).homogeneous[None], 101, axis=0)
-    line[:, 0, 3] += np.linspace(0.0, 0.4, 101)
+    line = moved(arm.fk(arm.home).homogeneous, np.outer(np.linspace(0.0, 0.4, 101), [1.0, 0.0, 0.0]))
     reached = np.flatnonzero(~ik.solve_batch(arm, line).success)[0] / 100
     for given in (line[[0, -1]], line[::20]):
         assert abs(ik.solve_path(arm, given, q0=arm.home).fraction - reached) < 2e-2

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import robots
+from motions import between
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +16,7 @@ def flat():
 
 @pytest.fixture(scope="module")
 def points(flat):
-    return np.array([flat.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 5)])
+    return between(flat, [0.3, 0.8], [0.5, 1.0], 5)[:, :3, 3]
 
 
 @pytest.mark.parametrize(
@@ -26,6 +27,7 @@ def points(flat):
         (dict(reconfigurations=-1), "reconfigurations must be 'fewest' or 'none', or"),
         (dict(max_step=0.0), "max_step must be one number, or two, above 0, not 0.0"),
         (dict(max_step=(0.1, np.inf)), "max_step must be one number, or two, above 0"),
+        (dict(max_step=(0.1, -1.0)), "max_step must be one number, or two, above 0"),
         (dict(max_step=(0.1, 0.1, 0.1)), "max_step must be one number, or two, above 0"),
         (
             dict(path_tolerance=1e-6, position_tolerance=1e-5),
@@ -36,12 +38,18 @@ def points(flat):
             "path_tolerance must be above orientation_tolerance, 1e-05 rad, the tolerance at the poses; not 1e-06",
         ),
         (dict(path_tolerance=1e-5, position_tolerance=1e-5), "path_tolerance must be above position_tolerance"),
-        (dict(threads=0), "threads"),
-        (dict(progress=3), "progress"),
+        (dict(reconfigurations=np.array([1, 2])), "reconfigurations must be 'fewest' or 'none', or"),
+        (dict(closest=True), "solve_path takes no 'closest'"),
+        (dict(threads=0), "threads must be"),
+        (dict(threads="two"), "threads must be"),
+        (dict(seed=-1), "seed must be"),
+        (dict(seed=1.5), "seed must be"),
+        (dict(q0=[1.0]), "q0"),
+        (dict(progress=3), "progress must be a function of a fraction and a text"),
     ],
 )
 def test_options(flat, points, options, said):
-    with pytest.raises(InvalidOption, match=said):
+    with pytest.raises((InvalidOption, InvalidConfiguration), match=said):
         ik.solve_path(flat, points, **options)
 
 
@@ -59,6 +67,10 @@ def test_a_path_has_poses(flat):
         ik.solve_path(flat, np.zeros((0, 3)))
     with pytest.raises(InvalidTarget, match="2"):  # which of them
         ik.solve_path(flat, [[0.1, 0.2, 0.0], [0.1, 0.3, 0.0], [np.nan, 0.0, 0.0]])
+    T = np.tile(flat.fk(flat.home).homogeneous, (5, 1, 1))
+    T[3, :3, :3] *= 2.0
+    with pytest.raises(InvalidTarget, match="target 3"):
+        ik.solve_path(flat, T)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +81,11 @@ def test_a_path_has_poses(flat):
         (dict(acceleration=[1.0, np.inf]), "acceleration of joint 'joint_2' is inf: it must be positive"),
         (dict(acceleration=1.0, velocity=[1.0, -1.0]), "velocity of joint 'joint_2' is -1: it must be positive"),
         (dict(acceleration=[1.0, 1.0, 1.0]), r"acceleration must be one number, or 2, one per joint; not shape \(3,\)"),
+        (dict(acceleration=1.0, rate=0.0), "rate"),
+        (dict(acceleration=1.0, seed="one"), "seed"),
+        (dict(acceleration=1.0, tip_speed=0.0), "tip_speed"),
+        (dict(acceleration=1.0, path_tolerance=1e-9), "path_tolerance must be above position_tolerance, 1e-06 m"),
+        (dict(acceleration=1.0, path_tolerance=(1.0, -1.0)), "path_tolerance"),
         (dict(acceleration=1.0, rate=1e9), r"rate = 1e\+09 gives .* samples in .*s; at most"),
     ],
 )

@@ -46,21 +46,6 @@ def test_followed_and_reconfigures_are_successes(status):
             result.raise_for_status()
 
 
-def test_saved_paths_are_read_back(tmp_path):
-    result = made()
-    rows = np.genfromtxt(result.save(tmp_path / "path.csv"), delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(rows[:, 1:3], result.q)
-    with np.load(result.save(tmp_path / "path.npz")) as file:
-        np.testing.assert_array_equal(file["curve"], result.curve)
-        assert file["reconfigurations"].tolist() == [1]
-    read = json.loads(result.save(tmp_path / "path.json").read_text())
-    assert read["q"][3] == [None, None]
-    assert read["unreachable"] == [{"index": 3, "reason": "out of reach by 1 mm", "proven": True}]
-    assert read["reconfigurations"] == [{"index": 1, "move": [0.8, -0.6]}]
-    with pytest.raises(InvalidOption, match=r"\.csv, \.npz or \.json"):
-        result.save(tmp_path / "path.txt")
-
-
 def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
     angles = np.array([0.0, 1e-8, 0.0, np.nan, 2e-8])
     touching = ik.paths.certificate.Contact(2.5, ("arm", "wall"))
@@ -79,20 +64,24 @@ def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
         "largest_step": {"rad": result.largest_step[0], "m": 0.0}, "length": {"rad": result.length[0], "m": 0.0},
         "deviation": {"m": 3e-4, "rad": 0.01}, "clearance": 0.02, "contacts": [{"place": 2.5, "pair": ["arm", "wall"]}],
         "unproven": [0.5], "max_step": {"rad": 0.1, "m": 0.02}, "path_tolerance": {"m": 1e-3, "rad": 0.03}, "seed": 4,
-        "elapsed": 0.5,
+        "elapsed": 0.5, "unreachable": [{"index": 3, "reason": "out of reach by 1 mm", "proven": True}],
+        "reconfigurations": [{"index": 1, "move": [0.8, -0.6]}],
     }  # fmt: skip
     assert {key: told[key] for key in wanted} == json.loads(json.dumps(wanted))
-    assert told["curve"][1] == [0.05, 0.1] and told["curve"][4] == [None, None]
+    assert told["curve"][1] == [0.05, 0.1] and told["curve"][4] == told["q"][3] == [None, None]
     assert json.loads(result.save(tmp_path / "a.json").read_text()) == told
     with np.load(result.save(tmp_path / "a.npz")) as file:
         np.testing.assert_array_equal(file["targets"], result.targets[:, 0], err_msg="as in a file of poses of one tip")
         for name in ("q", "position_error", "orientation_error", "curve", "at"):
             np.testing.assert_array_equal(file[name], getattr(result, name))
+        assert file["reconfigurations"].tolist() == [1]
         assert file["tips"].tolist() == ["tool"] and file["joint_names"].tolist() == ["joint_1", "joint_2"]
     text = result.save(tmp_path / "a.csv").read_text().splitlines()
     assert text[0] == "pose,joint_1,joint_2,position_error,orientation_error" and text[2].split(",")[0] == "1"
     rows = np.genfromtxt(text, delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(rows[:, 3:], np.column_stack([result.position_error, angles]))
+    np.testing.assert_array_equal(rows[:, 1:], np.column_stack([result.q, result.position_error, angles]))
+    with pytest.raises(InvalidOption, match=r"\.csv, \.npz or \.json"):
+        result.save(tmp_path / "path.txt")
     positions = made()
     assert positions.save(tmp_path / "b.csv").read_text().splitlines()[0].endswith(",position_error")
     with np.load(positions.save(tmp_path / "b.npz")) as file:
@@ -104,14 +93,7 @@ def test_revolute_and_prismatic_steps_are_told_apart():
     robot = ik.Robot.load("cartesian_pp")
     q = np.array([[0.0, 0.0], [0.1, -0.3], [0.2, 0.1]])
     proof = Continuity(np.zeros(2), np.zeros(2), np.zeros((2, 2)))
-    fields = {
-        "robot": robot,
-        "q": q,
-        "curve": q,
-        "at": np.arange(3.0),
-        "continuity": proof,
-        "position_error": np.zeros(3),
-    }
+    fields = dict(robot=robot, q=q, curve=q, at=np.arange(3.0), continuity=proof, position_error=np.zeros(3))
     result = made(PathStatus.FOLLOWED, **fields, reconfigurations=(), unreachable=())
     assert result.largest_step == pytest.approx((0.0, 0.4)) and result.length == pytest.approx((0.0, 0.9))
     assert repr(result).endswith("length 0 rad and 0.9 m)")

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import trees
+from motions import plan_for, tips
 
 import ik_toolkit as ik
 from ik_toolkit.compile.jit import jit
@@ -13,16 +14,8 @@ from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.paths.continuity import settle_on_targets
 from ik_toolkit.paths.finish import smooth
 from ik_toolkit.paths.smoothing import band_cholesky, band_solve
-from ik_toolkit.solvers.options import make_options
-from ik_toolkit.solvers.plan import Plan
-from ik_toolkit.solvers.registry import find_row
 
 STEP = (np.radians(7.0), 0.02)
-
-
-def plan_for(robot, **options):
-    row = find_row("lm")
-    return Plan(robot, row, row.load()(), make_options(options))
 
 
 @jit
@@ -63,7 +56,7 @@ def wavy(name, count=120):
     start = robot.home
     q = start + 0.25 * np.sin(np.pi * t)[:, None] * rng.uniform(-1.0, 1.0, robot.n)
     q = np.clip(q, robot.lower, robot.upper)
-    T = np.array([[arm.fk(row[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)] for row in q])
+    T = tips(robot, q)
     plan = plan_for(robot, **options)
     q = np.clip(
         q + 0.1 * np.sin(9.0 * t)[:, None] * rng.uniform(-1.0, 1.0, robot.n) + rng.uniform(-0.01, 0.01, q.shape),

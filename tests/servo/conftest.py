@@ -1,15 +1,24 @@
 """Robots that are tracked in several files."""
 
 import pytest
-
-import ik_toolkit as ik
+import robots
 
 
 @pytest.fixture(scope="module")
 def panda():
-    return ik.Robot.load("panda")
+    return robots.load("panda")
 
 
 @pytest.fixture(scope="module")
 def planar():
-    return ik.Robot.load("planar_2r")
+    return robots.load("planar_2r")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robots.load("hydrolek_7w")
+
+
+@pytest.fixture(scope="module")
+def tree():
+    return robots.load("two_arms")

@@ -3,21 +3,12 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from references import most_turns
 from robots import have_data, load
 
 import ik_toolkit as ik
 
 DT = 0.01  # s
-
-
-def chatter(Q, limits):
-    """Stretches of less than 0.1 s in which a joint of Q (N, n) turns back four times."""
-    rate, count = np.diff(Q, axis=0) / DT / limits, 0
-    for one in rate.T:
-        fast = np.flatnonzero(np.abs(one) > 0.05)
-        turns = fast[1:][np.diff(np.sign(one[fast])) != 0.0]
-        count += int((turns[3:] - turns[:-3] < round(0.1 / DT)).sum())
-    return count
 
 
 def stream(robot, seed, place):
@@ -40,7 +31,7 @@ def test_none_where_limits_and_the_edge_of_reach_take_turns(name, method):
         q0, targets = stream(robot, seed, (0.6, 0.95, 1.3)[seed % 3])
         tracker = ik.Tracker(robot, method, q0=q0)
         Q = np.array([q0, *(tracker.update(target, DT).q for target in targets)])
-        assert chatter(Q, robot.velocity_limits) == 0, seed
+        assert most_turns(Q, robot.velocity_limits) <= 3, seed
 
 
 def before_a_box(seed):
@@ -65,7 +56,7 @@ def test_none_before_a_box(seed):
         target = pin.SE3.Interpolate(begin, end, min(k / 200, 1.0))
         target.translation += [0.02 * np.sin(0.01 * k), 0.0, 0.0]
         Q.append(tracker.update(target.translation, DT).q)
-    assert chatter(np.array(Q), robot.velocity_limits) == 0
+    assert most_turns(np.array(Q), robot.velocity_limits) <= 3
 
 
 @pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
@@ -83,7 +74,7 @@ def test_none_among_boxes_where_steps_are_refused():
         target = T.homogeneous
         target[:3, 3] += 0.3 * (np.sin(k * DT * tempo * np.array([1.1, 1.7, 0.8]) + phase) - np.sin(phase))
         Q.append(tracker.update(target, DT).q)
-    assert chatter(np.array(Q), robot.velocity_limits) == 0
+    assert most_turns(np.array(Q), robot.velocity_limits) <= 3
 
 
 @pytest.mark.slow
@@ -92,7 +83,7 @@ def test_none_before_a_box_where_the_clock_waits():
     robot, model, q0, begin, end = before_a_box(9)
     reference = ik.line(begin.homogeneous, end.homogeneous, duration=2.0, law="minimum-jerk")
     run = ik.track(robot, reference, q0=q0, avoid_collisions=model)
-    assert run.status.name == "LOST" and chatter(run.q, robot.velocity_limits) == 0
+    assert run.status.name == "LOST" and most_turns(run.q, robot.velocity_limits) <= 3
 
 
 @pytest.mark.parametrize("method", ["cv", "aad"])

@@ -1,49 +1,20 @@
 """Figures of a run, each worked out again from its arrays, and what is said of a path that cannot be followed."""
 
+import json
+
 import numpy as np
 import pytest
 import robots
+from references import line_of
 
 import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
 from ik_toolkit.servo.path_reach import survey
 from ik_toolkit.text import length
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return robots.load("hydrolek_7w")
-
-
-@pytest.fixture(scope="module")
-def flat():
-    return robots.load("planar_2r")
-
-
-def line(robot, q, move, duration, law="minimum-jerk"):
-    start = robot.fk(q).translation
-    return ik.line(start, start + np.array(move), duration=duration, law=law)
-
-
 def pose_line(robot, q, other, duration):
     return ik.line(robot.fk(q), robot.fk(other), duration=duration, law="minimum-jerk")
-
-
-def slowed(robot):
-    """A run faster than the joints are, so that the clock goes slower."""
-    q = np.array([0.3, 0.9])
-    return ik.track(robot, line(robot, q, (-0.9, 0.5, 0.0), 0.3), "cv", q0=q)
-
-
-def test_a_run_that_is_slowed(flat):
-    run = slowed(flat)
-    made = run.figures
-    assert run.added_time > 0.0 and made["added_time"] == pytest.approx(run.t[-1] - run.clock[-1], abs=1e-12)
-    assert 0.0 < made["slowed_time"] == pytest.approx((run.sigma < 1.0 - 1e-9).sum() * run.dt, abs=1e-12)
-    assert made["slowest"] == run.sigma.min() < 1.0
-    # The joint that took most from the clock, and not the one that held it back in most steps.
-    lost = [(1.0 - run.sigma)[run.pace == j].sum() for j in range(flat.n)]
-    assert run.pace_joint == run.joint_names[int(np.argmax(lost))]
-    assert f"{run.added_time:.3g} s longer than its 0.3 s, limited by {run.pace_joint}" in run.message
 
 
 def test_moves_speeds_and_their_rates(arm):
@@ -81,23 +52,23 @@ def test_moves_speeds_and_their_rates(arm):
     assert told["pace_joint"] is None and told["reach"] == run.reach.to_dict() and told["success"] is False
 
 
-def test_a_run_near_a_singular_pose_counts_the_time_it_is_damped(flat):
+def test_a_run_near_a_singular_pose_counts_the_time_it_is_damped(planar):
     """Out to the edge of the reach and back: damped in some steps there, and not where the elbow is bent."""
     q = np.array([0.2, 0.9])
-    start = flat.fk(q).translation
-    edge = flat.fk([0.65, 0.0]).translation
-    run = ik.track(flat, ik.line(start, edge, duration=1.0, rounds=1), "cv", q0=q, on_limit="leave")
+    start = planar.fk(q).translation
+    edge = planar.fk([0.65, 0.0]).translation
+    run = ik.track(planar, ik.line(start, edge, duration=1.0, rounds=1), "cv", q0=q, on_limit="leave")
     share = run.damped.mean()
     assert 0.0 < share < 0.5 and run.figures["damped_time"] == pytest.approx(run.damped.sum() * run.dt)
 
 
 # -------------------------------------------------------------------------------------------------- what a survey says
-def test_a_path_that_ends_the_reach_says_where_and_why(flat, arm):
+def test_a_path_that_ends_the_reach_says_where_and_why(planar, arm):
     q = np.array([0.3, 0.9])
-    out = line(flat, q, 2.0 * flat.fk([0.75, 0.0]).translation * (1.0, 1.0, 0.0), 4.0, "constant")
-    found = survey(flat, out, q)
+    out = line_of(planar, q, 2.0 * planar.fk([0.75, 0.0]).translation * (1.0, 1.0, 0.0), 4.0, "constant", free=True)
+    found = survey(planar, out, q)
     start, end = out.at(0.0)[0][:3, 3], out.at(4.0)[0][:3, 3]
-    reach = np.linalg.norm(flat.fk([0.0, 0.0]).translation[:2])
+    reach = np.linalg.norm(planar.fk([0.0, 0.0]).translation[:2])
     shares = np.linspace(0.0, 1.0, 100_001)[:, None]
     inside = np.linalg.norm((start + shares * (end - start))[:, :2], axis=1) <= reach
     stop = shares[inside][-1, 0] * np.linalg.norm(end - start)
@@ -109,7 +80,7 @@ def test_a_path_that_ends_the_reach_says_where_and_why(flat, arm):
     assert found.message.endswith(
         "the arm is at the edge of its reach, or its 2 joints cannot move the tip along this path"
     )
-    run = ik.track(flat, out, "cv", q0=q)
+    run = ik.track(planar, out, "cv", q0=q)
     assert not run.success and found.message in run.message and "scaled by" in run.message
     free = ik.Robot.load(
         robots.urdf(
@@ -117,7 +88,7 @@ def test_a_path_that_ends_the_reach_says_where_and_why(flat, arm):
         )
     )
     bent = [0.1, 0.4, 0.8, 0.0]
-    message = survey(free, line(free, bent, (0.0, 0.0, 2.0), 4.0, "constant"), bent).message
+    message = survey(free, line_of(free, bent, (0.0, 0.0, 2.0), 4.0, "constant", free=True), bent).message
     assert message.endswith("the arm is at the edge of its reach")  # four joints can move a tip anywhere
 
 
@@ -139,17 +110,19 @@ def test_a_path_that_a_joint_limit_ends_names_the_joint():
     assert found.to_dict()["joints"] == ["j0"] and found.to_dict()["unit"] == "m" and not found.to_dict()["whole"]
 
 
-def test_a_path_that_is_only_too_fast_says_how_much(flat):
+def test_a_path_that_is_only_too_fast_says_how_much(planar):
     q = np.array([0.3, 0.9])
-    run = ik.track(flat, line(flat, q, (-0.9, 0.5, 0.0), 0.2, "constant"), "cv", q0=q, on_limit="leave")
+    run = ik.track(
+        planar, line_of(planar, q, (-0.9, 0.5, 0.0), 0.2, "constant", free=True), "cv", q0=q, on_limit="leave"
+    )
     made, reach = run.figures, run.reach
     hit = (run.limited & 7) > 0  # position, speed, acceleration
     assert hit.any() and made["time_at_limits"] == pytest.approx(hit.any(axis=1).sum() * run.dt)
     by_joint = dict(zip(run.joint_names, hit.sum(axis=0) * run.dt, strict=True))
     assert made["time_at_limits_by_joint"] == pytest.approx(by_joint)
     assert not run.success and reach.whole and reach.message == ""
-    speeds = np.abs(np.diff(reach.q, axis=0)) / np.diff(reach.t)[:, None] / flat.velocity_limits
-    share, joint = speeds.max(), flat.joint_names[int(np.argmax(speeds.max(axis=0)))]
+    speeds = np.abs(np.diff(reach.q, axis=0)) / np.diff(reach.t)[:, None] / planar.velocity_limits
+    share, joint = speeds.max(), planar.joint_names[int(np.argmax(speeds.max(axis=0)))]
     assert reach.pace == (share, joint) and share > 1.0
     told = f"Every pose can be reached, but {joint} would need {share:.3g} times its speed limit: go slower."
     assert run.message.endswith(told)
@@ -174,23 +147,17 @@ def test_every_array_is_in_the_files(arm, tmp_path):
     columns = [run.t, run.q, run.xyz, run.position_error, run.orientation_error, run.clock]
     np.testing.assert_array_equal(rows, np.column_stack(columns))
     told = run.to_dict()
-    for name in (
-        "robot",
-        "method",
-        "dt",
-        "message",
-        "position_tolerance",
-        "orientation_tolerance",
-        "settle",
-        "elapsed",
-        "searched",
-    ):
+    for name in "robot method dt message position_tolerance orientation_tolerance settle elapsed searched".split():
         assert told[name] == getattr(run, name), name
     assert told["status"] == run.status.name and told["between"] is None
     places = [tuple(point["positions"]) for point in run.to_ros()["points"]]
     assert places == [tuple(q) for q in run.q.tolist()]
-    speeds = [tuple(point["velocities"]) for point in run.to_ros()["points"]]
-    assert len(speeds) == len(run.t) and speeds[0] == tuple(run.rate[0].tolist())
+    ros = json.loads(run.save(tmp_path / "run.json").read_text())
+    assert ros == run.to_ros() and ros["joint_names"] == list(arm.joint_names)
+    assert [point["velocities"] for point in ros["points"]] == run.rate.tolist()
+    assert ros["points"][29]["time_from_start"] == {"sec": 0, "nanosec": 290_000_000}
+    with pytest.raises(InvalidOption, match=r"npz, \.csv or \.json"):
+        run.save(tmp_path / "run.txt")
 
 
 def test_files_of_several_tips(tmp_path):

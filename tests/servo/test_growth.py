@@ -178,30 +178,21 @@ def test_redundant_arms_are_judged_by_their_tip():
         assert (ik.check_gains("cv", 1.0 / rate, kappa=10.0, robot=robot, path=path).along.factor > 1.0) == grows
 
 
-@pytest.mark.parametrize(("wrong", "words"), [
-    ({"kapa": 1.0}, "no gain 'kapa'"), ({"kappa": 0.0}, "stable at no rate"), ({"kappa": 5.0, "most": 1.0}, "above"),
-    ({"most": -1.0}, "most"), ({"kappa": "x"}, "kappa"), ({"null_damping": None}, "null_damping"),
+RATE, CHART = ik.least_rate, ik.stability_chart
+
+
+@pytest.mark.parametrize(("ask", "method", "wrong", "words"), [
+    (RATE, "cv", {"kapa": 1.0}, "no gain 'kapa'"), (RATE, "cv", {"kappa": 0.0}, "stable at no rate"),
+    (RATE, "cv", {"kappa": 5.0, "most": 1.0}, "above"), (RATE, "cv", {"most": -1.0}, "most"), (RATE, "cv", {"kappa": "x"}, "kappa"),
+    (RATE, "cv", {"null_damping": None}, "null_damping"), (RATE, "ca", {"kp": 3.0}, "kd must be a number"),
+    (CHART, "av", {}, "av"), (CHART, "cv", {"gain": [0.0]}, "gain"), (CHART, "cv", {"samples": [2]}, "samples"),
+    (CHART, "cv", {"samples": [7.5]}, "samples"), (CHART, "ca", {"shape": -1.0}, "shape"),
 ])  # fmt: skip
-def test_mistakes_about_rates_are_typed(wrong, words):
+def test_mistakes_are_typed(ask, method, wrong, words):
     with pytest.raises(InvalidOption, match=words):
-        ik.least_rate(robots.load("planar_2r"), CIRCLE, "cv", **wrong)
-
-
-def test_mistakes_about_charts_are_typed():
-    robot = robots.load("planar_2r")
-    for wrong in (
-        {"method": "av"},
-        {"gain": [0.0]},
-        {"samples": [2]},
-        {"samples": [7.5]},
-        {"method": "ca", "shape": -1.0},
-    ):
-        with pytest.raises(InvalidOption):
-            ik.stability_chart(robot, CIRCLE, **wrong)
-    with pytest.raises(InvalidOption, match="kd must be a number"):
-        ik.least_rate(robot, CIRCLE, "ca", kp=3.0)
+        ask(robots.load("planar_2r"), CIRCLE, method, **wrong)
     with pytest.raises(InvalidOption, match="a Reference"):
-        ik.least_rate(robot, "circle")
+        ask(robots.load("planar_2r"), "circle")
 
 
 def test_the_product_foretells_which_runs_stay():

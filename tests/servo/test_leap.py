@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from references import accelerations, keeps_limits, least_time
 from robots import have_data
 
 import ik_toolkit as ik
@@ -11,11 +12,6 @@ from ik_toolkit.errors import InvalidOption
 from ik_toolkit.servo.step import StepStatus
 
 DT = 0.01
-
-
-def accelerations(robot):
-    """Full speed in 0.2 s."""
-    return 5.0 * robot.velocity_limits
 
 
 def pairs(robot, count, seed=0, sizes=(0.2, 0.6)):
@@ -40,10 +36,7 @@ def time_back(robot, q0, steps, accelerate):
     error = [math.hypot(s.position_error, 0.2 * (s.orientation_error or 0.0)) for s in steps[1:]]
     back = max((k for k, e in enumerate(error) if e > 1e-3), default=-1) + 1
     assert back < len(error), "not reached"
-    way, v = np.abs(steps[back + 1].q - q0), robot.velocity_limits
-    a = accelerations(robot)
-    slow = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a))
-    return (back + 1) * DT, (slow if accelerate else way / v).max()
+    return (back + 1) * DT, least_time(robot, steps[back + 1].q - q0, accelerations(robot) if accelerate else None)
 
 
 def off_the_line(robot, q0, steps):
@@ -61,12 +54,8 @@ def test_back_within_the_joints_own_time(name, method, accelerate):
         steps = follow(robot, q0, robot.fk(q1), 4.0, accelerate, method)
         seconds, bound = time_back(robot, q0, steps, accelerate)
         assert seconds <= 1.3 * bound + DT, (q0, seconds, bound)
-        Q = np.array([q0, q0, *(s.q for s in steps)])  # from rest
-        speed = np.diff(Q, axis=0) / DT
-        assert ((robot.lower <= Q) & (robot.upper >= Q)).all()
-        assert (np.abs(speed) <= robot.velocity_limits * (1.0 + 1e-9)).all()
-        if accelerate and method == "cv":
-            assert (np.abs(np.diff(speed, axis=0)) <= accelerations(robot) * DT * (1.0 + 1e-9)).all()
+        most = accelerations(robot) if accelerate and method == "cv" else np.inf
+        assert keeps_limits(robot, np.array([q0, *(s.q for s in steps)]), DT, most)
         assert steps[-1].position_error < 1e-5
 
 
@@ -99,8 +88,7 @@ def test_a_measured_target_trembles(panda, dt):
             step = tracker.update(shaken, dt)
             if step.position_error < 1e-3:
                 break
-        way, v, a = np.abs(step.q - q0), panda.velocity_limits, accelerations(panda)
-        bound = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max()
+        bound = least_time(panda, step.q - q0, accelerations(panda))
         assert taken <= 1.3 * bound + 0.1 + dt, (taken, bound)
 
 
@@ -158,9 +146,7 @@ def test_a_target_that_goes_on_ends_it(panda):
         Q.append(step.q)
         assert not ("jumped" in step.reason and 10 < k < 200)
     assert step.position_error < 1e-4
-    speed = np.diff(Q, axis=0) / DT
-    assert (np.abs(speed) <= panda.velocity_limits * (1.0 + 1e-9)).all()
-    assert (np.abs(np.diff(speed, axis=0)) <= accelerations(panda) * DT * (1.0 + 1e-9)).all()
+    assert keeps_limits(panda, np.array(Q), DT, accelerations(panda))
 
 
 def test_nothing_is_touched(panda):
@@ -180,15 +166,10 @@ def test_nothing_is_touched(panda):
 def test_two_arms():
     """One tip's target leaps; the other's stays, and its tip ends there."""
     robot = ik.Tree.load("brokk_hydrolek")
-    home = robot.fk(robot.home)
-    tip = robot.tips[0]
-    q1 = robot.home.copy()
+    home, tip, q1 = robot.fk(robot.home), robot.tips[0], robot.home.copy()
     q1[robot.places[0]] += 0.2
-    targets = {name: T.homogeneous for name, T in home.items()} | {tip: robot.fk(q1)[tip].homogeneous}
     tracker = ik.Tracker(robot, q0=robot.home, rate0=np.zeros(robot.n), acceleration_limits=accelerations(robot))
-    steps = [
-        tracker.update({name: T.homogeneous for name, T in home.items()} if k == 0 else targets, DT) for k in range(400)
-    ]
+    steps = [tracker.update(home | {tip: robot.fk(q1)[tip]} if k else home, DT) for k in range(400)]
     assert any("jumped" in s.reason for s in steps) and steps[-1].position_error < 1e-4
     seconds, bound = time_back(robot, robot.home, steps, accelerate=True)
     assert seconds <= 1.3 * bound + DT

@@ -2,6 +2,7 @@
 
 import pytest
 import robots
+from references import line_of
 
 import ik_toolkit as ik
 
@@ -19,10 +20,8 @@ import ik_toolkit as ik
 )
 def test_a_lost_run_never_raises(options):
     robot = robots.load("hydrolek_7w")
-    begin = robot.fk(robot.home).homogeneous
-    end = begin.copy()
-    end[1, 3] += 1.5
-    run = ik.track(robot, ik.line(begin, end, duration=1.0), q0=robot.home, **options)
+    line = line_of(robot, robot.home, (0.0, 1.5, 0.0), 1.0, "constant")
+    run = ik.track(robot, line, q0=robot.home, **options)
     assert run.message
     if options != {"mask": (0, 0, 0, 1, 1, 1)}:
         assert run.status.name == "LOST", run

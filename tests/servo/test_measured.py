@@ -58,11 +58,12 @@ def test_noise_that_is_told_is_taken_more_slowly():
     assert errors.max() < 1e-3 and told.std() < 0.8 * untold.std()
 
 
-@pytest.mark.parametrize(("assumed", "true"), [(0, 3), (2, 0), (2, 6), (2, 8), (5, 2)])
-def test_a_wrong_delay_does_not_make_it_swing(assumed, true):
+@pytest.mark.parametrize("method", ["cv", "ca"])
+@pytest.mark.parametrize(("assumed", "true"), [(0, 3), (2, 0), (2, 2), (2, 4), (2, 6), (2, 8), (5, 2)])
+def test_a_wrong_delay_does_not_make_it_swing(assumed, true, method):
     """The tip leads or lags by what the delay is wrong, without growing."""
     robot = robots.load("planar_3r")
-    errors, _, _ = follow(robot, 0.0, true=true, steps=400, h=0.01, delay=assumed, noise=0.0)
+    errors, _, _ = follow(robot, 0.0, true=true, steps=400, h=0.01, delay=assumed, noise=0.0, method=method)
     off = RADIUS * np.pi * 0.01 * abs(assumed - true)  # m, what the tip does in that time
     assert errors.max() <= 1.6 * off + 1e-4
     assert errors[-100:].max() <= 1.1 * errors[:-100].max()

@@ -8,12 +8,32 @@ from robots import have_data, load
 import ik_toolkit as ik
 from ik_toolkit.robot.geometry import distance
 from ik_toolkit.servo import collision_guard, viability
-from ik_toolkit.servo.collision_guard import CONTACT, Guard
+from ik_toolkit.servo.collision_guard import Guard
 from ik_toolkit.servo.step import StepStatus
-from ik_toolkit.servo.viability import brake
 
-SLOW = pytest.param("ur5", 0.5, marks=pytest.mark.slow)  # its meshes take time to test exactly
-ROBOTS = [("hydrolek_7w", 1.0), ("planar_2r", 0.5), ("two_arms", 1.0), *([("panda", 0.5), SLOW] if have_data() else [])]
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+SLOW = (DATA, pytest.mark.slow)  # its meshes take time to test exactly
+EVEN = np.full(150, 0.01)  # [s] lengths of steps
+# A step of 10 us after one of 50 ms may hardly change the rates: the brake must have room for it.
+WIDE = 10.0 ** np.random.default_rng(11).uniform(-5.0, np.log10(0.05), 400)
+SHORT_THEN_LONG = 10.0 ** np.random.default_rng(0).uniform(-5.0, np.log10(0.05), 250)
+CHANGING = np.random.default_rng(5).choice([0.001, 0.01, 0.05], 300)
+# Robot, gamma, acceleration, lengths of steps, seed of the way, for how many steps it has a goal, whether rows are obeyed.
+# Without the rows, the proof has to hold it back.
+WAYS = [
+    ("hydrolek_7w", 1.0, 10.0, EVEN, 1, 25, True), ("hydrolek_7w", 1.0, 10.0, EVEN, 2, 60, False),
+    ("hydrolek_7w", 1.0, np.inf, EVEN, 3, 25, True), ("hydrolek_7w", 1.0, np.inf, EVEN, 4, 25, False),
+    ("hydrolek_7w", 1.0, 2.0, EVEN, 3, 25, True), ("hydrolek_7w", 1.0, 2.0, EVEN, 4, 25, False),
+    ("hydrolek_7w", 1.0, 2.0, WIDE, 1, 100, False), ("planar_2r", 0.5, 10.0, EVEN, 1, 25, True),
+    ("planar_2r", 0.5, 10.0, EVEN, 2, 60, False), ("two_arms", 1.0, 10.0, EVEN, 1, 25, True),
+    ("two_arms", 1.0, 10.0, EVEN, 2, 60, False), ("two_arms", 1.0, 10.0, WIDE, 1, 100, False),
+    ("two_arms", 0.5, 2.0, SHORT_THEN_LONG, 0, 60, False), ("two_arms", 0.6, 10.0, SHORT_THEN_LONG, 0, 60, False),
+    ("two_arms", 1.0, 10.0, CHANGING, 0, 40, False), ("two_arms", 0.6, np.inf, CHANGING, 0, 40, False),
+    *[pytest.param(*way, marks=marks) for way, marks in (
+        (("panda", 0.5, 10.0, EVEN, 1, 25, True), DATA), (("panda", 0.5, 10.0, EVEN, 2, 60, False), DATA),
+        (("ur5", 0.5, 10.0, EVEN, 1, 25, True), SLOW), (("ur5", 0.5, 10.0, EVEN, 2, 60, False), SLOW),
+    )],
+]  # fmt: skip
 
 
 def scene(name):
@@ -91,45 +111,14 @@ def wanderer(robot, seed, hold=25):
     return want
 
 
-@pytest.mark.parametrize(("name", "gamma"), ROBOTS)
-def test_no_contact_on_random_ways(name, gamma):
+@pytest.mark.parametrize(("name", "gamma", "acceleration", "h", "seed", "hold", "obey"), WAYS)
+def test_no_contact_on_random_ways(name, gamma, acceleration, h, seed, hold, obey):
     robot, model, q = scene(name)
-    Q, _ = drive(robot, model, wanderer(robot, 1), 150, gamma=gamma, q=q)
-    assert np.abs(np.diff(Q, axis=0)).sum() > 3.0  # it does move
-    Q, refused = drive(robot, model, wanderer(robot, 2, hold=60), 150, gamma=gamma, q=q, obey=False)
-    assert refused or name in ("ur5", "hydrolek_7w")  # and without the rows, the proof has to hold it back
-
-
-@pytest.mark.parametrize("acceleration", [np.inf, 2.0])
-def test_no_contact_with_any_brake(acceleration):
-    robot, model, q = scene("hydrolek_7w")
-    drive(robot, model, wanderer(robot, 3), 150, acceleration=acceleration, q=q)
-    drive(robot, model, wanderer(robot, 4), 150, acceleration=acceleration, q=q, obey=False)
-
-
-@pytest.mark.parametrize(("name", "acceleration"), [("hydrolek_7w", 2.0), ("two_arms", 10.0)])
-def test_accelerations_are_kept_however_the_step_changes(name, acceleration):
-    """A step of 10 us after one of 50 ms may hardly change the rates: the brake must have room for it."""
-    robot, model, q = scene(name)
-    h = 10.0 ** np.random.default_rng(11).uniform(-5.0, np.log10(0.05), 400)
-    _, refused = drive(robot, model, wanderer(robot, 1, 100), 400, h, 1.0, acceleration, q, obey=False)
-    assert refused or name == "hydrolek_7w"
-
-
-@pytest.mark.parametrize(("gamma", "acceleration"), [(0.5, 2.0), (0.6, 10.0)])
-def test_no_contact_on_the_parabola_of_a_long_step_after_short_ones(gamma, acceleration):
-    robot, model, q = scene("two_arms")
-    h = 10.0 ** np.random.default_rng(0).uniform(-5.0, np.log10(0.05), 250)
-    _, refused = drive(robot, model, wanderer(robot, 0, 60), 250, h, gamma, acceleration, q, obey=False)
-    assert refused
-
-
-@pytest.mark.parametrize(("gamma", "acceleration"), [(1.0, 10.0), (0.6, np.inf)])
-def test_no_contact_when_the_step_changes(gamma, acceleration):
-    robot, model, q = scene("two_arms")
-    h = np.random.default_rng(5).choice([0.001, 0.01, 0.05], 300)
-    way = {"h": h, "q": q, "obey": False, "gamma": gamma, "acceleration": acceleration}
-    drive(robot, model, wanderer(robot, 0, hold=40), 300, **way)
+    Q, refused = drive(robot, model, wanderer(robot, seed, hold), len(h), h, gamma, acceleration, q, obey)
+    if obey:
+        assert np.abs(np.diff(Q, axis=0)).sum() > 3.0  # it does move
+    else:
+        assert refused or name in ("ur5", "hydrolek_7w")
 
 
 def ball_in_the_way(gap):
@@ -195,16 +184,6 @@ def test_a_refused_step_ends_at_rest_and_names_the_pair():
     assert refused > 10 and np.abs(rate).max() < 0.1 and not model.collides(q)
 
 
-def test_a_touching_start_is_said_and_held():
-    robot, model, q = ball_in_the_way(1e-3)
-    model.add_sphere(0.2, robot.fk(q), "knot")
-    guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
-    assert guard.restart(q) == ("link_2", "knot")
-    assert not guard.allows(q, np.zeros(2), q + 0.001, np.full(2, 0.1), 0.01)
-    held, still = guard.brake(q, np.zeros(2), 0.01)
-    assert np.array_equal(held, q) and not still.any()
-
-
 def test_what_is_added_later_counts():
     robot, model, q = ball_in_the_way(0.5)
     guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
@@ -213,21 +192,6 @@ def test_what_is_added_later_counts():
     assert guard.rows(q, one, 0.01) == 0 and guard.allows(q, one, q, one, 0.01)
     model.add_sphere(0.2, robot.fk(q).translation + np.array([0.0, 0.1, 0.0]), "late")
     assert guard.rows(q, one, 0.01) > 0 and ("link_2", "late") in guard.pairs
-
-
-def test_a_brake_is_that_of_the_limits():
-    """Each joint on its own at its full deceleration, and as far as the methods assume between samples."""
-    limits = np.array([[-9.0, -9.0], [9.0, 9.0], [5.0, 5.0], [2.0, 4.0]])
-    for gamma in (1.0, 0.5, 0.6):
-        Q, R, L = (np.empty((60, 2)) for _ in range(3))
-        Q[0], R[0] = (0.0, 1.0), (0.5, -1.0)
-        count = brake(0, gamma, 0.01, 0.01, limits, Q, R, L)
-        fall = 0.02 / max(2.0 * gamma if gamma < 1.0 else 1.0, 1.0)  # the acceleration limit holds between samples
-        assert count in (round(0.5 / fall), round(0.5 / fall) + 1)  # by rounding
-        assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - fall * np.arange(count + 1), 0.0)) and not R[count].any()
-        assert np.allclose(L[: count + 1], np.abs(Q[: count + 1] - Q[0]), atol=0.001)
-        assert np.allclose(np.diff(Q[:25], axis=0), 0.01 * ((1 - gamma) * R[:24] + gamma * R[1:25]))
-    assert CONTACT > 0.0
 
 
 # ----------------------------------------------------------------------------------------------------------- in a tracker
@@ -307,7 +271,7 @@ def test_what_is_far_changes_nothing():
     assert np.array_equal(plain.q, careful.q) and plain.status is careful.status
 
 
-@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+@DATA
 def test_near_its_own_links_the_arm_slows_down_and_does_not_stop_and_go():
     robot = ik.Robot.load("ur5")
     tracker = ik.Tracker(robot, "ca", avoid_collisions=ik.CollisionModel(robot, margin=0.05))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from references import accelerations, keeps_limits, least_time
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -11,16 +12,6 @@ from ik_toolkit.servo.step import StepStatus
 
 DT = 0.01
 REST = 4.0  # [s]
-
-
-@pytest.fixture(scope="module")
-def hydrolek():
-    return ik.Robot.load("hydrolek_7w")
-
-
-def accelerations(robot):
-    """Full speed in 0.2 s."""
-    return 5.0 * robot.velocity_limits
 
 
 def turned(T0, degrees, rate):
@@ -48,23 +39,11 @@ def joints(robot, steps):
     return np.array([robot.home, *(step.q for step in steps)])
 
 
-def inside_all_limits(robot, Q):
-    """Whether positions, speeds and accelerations keep their limits at every sample, from rest on."""
-    speed = np.diff(Q, axis=0, prepend=Q[:1]) / DT
-    return (
-        ((robot.lower <= Q) & (robot.upper >= Q)).all()
-        and (np.abs(speed) <= robot.velocity_limits * (1.0 + 1e-9)).all()
-        and (np.abs(np.diff(speed, axis=0)) <= accelerations(robot) * DT * (1.0 + 1e-9)).all()
-    )
-
-
 def time_back(robot, steps, begin):
     """Time [s] from sample `begin` until the tip stays within 1 mm and 5 mrad, and the least the joints need for that way."""
     off = [k for k, s in enumerate(steps) if s.position_error > 1e-3 or (s.orientation_error or 0.0) > 5e-3]
     Q, back = joints(robot, steps), max(begin, off[-1] + 2 if off else 0)
-    way, v, a = np.abs(Q[back] - Q[begin]), robot.velocity_limits, accelerations(robot)
-    bound = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max()
-    return (back - begin) * DT, float(bound)
+    return (back - begin) * DT, least_time(robot, Q[back] - Q[begin], accelerations(robot))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +56,7 @@ def test_a_tool_turned_twice_is_followed(name, method, degrees):
     assert any(s.status is StepStatus.RECONFIGURING for s in steps)
     seconds, bound = time_back(robot, steps, len(targets) - round(REST / DT))
     assert seconds <= 1.3 * bound + DT and steps[-1].position_error < 1e-4 and steps[-1].orientation_error < 5e-4
-    assert inside_all_limits(robot, joints(robot, steps))
+    assert keeps_limits(robot, joints(robot, steps), DT, accelerations(robot))
 
 
 def test_switched_off_it_stays_and_says_so(panda):
@@ -92,8 +71,8 @@ def test_switched_off_it_stays_and_says_so(panda):
         ik.Tracker(panda, reconfigure="no")
 
 
-def test_the_reason_names_the_joint_that_ended_the_last_posture(hydrolek):
-    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0))
+def test_the_reason_names_the_joint_that_ended_the_last_posture(arm):
+    steps = follow(arm, turned(arm.fk(arm.home).homogeneous, 720.0, 2.0))
     reasons = {s.reason for s in steps if s.status is StepStatus.RECONFIGURING}
     assert any("another posture" in one and "wrist_roll" in one for one in reasons), reasons
 
@@ -108,7 +87,7 @@ def test_it_goes_through_joints_that_were_measured_late(panda):
         Q.append(step.q)
         statuses.add(step.status)
     assert StepStatus.RECONFIGURING in statuses and StepStatus.JUMPED not in statuses
-    assert step.position_error < 1e-4 and inside_all_limits(panda, np.array(Q[2:]))
+    assert step.position_error < 1e-4 and keeps_limits(panda, np.array(Q[2:]), DT, accelerations(panda))
 
 
 def test_nothing_is_touched_on_the_way(panda):
@@ -120,7 +99,8 @@ def test_nothing_is_touched_on_the_way(panda):
     assert any(model.collides(q) for q in joints(panda, follow(panda, targets))[::5])
     steps = follow(panda, targets, avoid_collisions=model)
     assert not any(model.collides(q) for q in joints(panda, steps)) and steps[-1].position_error < 1e-4
-    assert any(s.status is StepStatus.RECONFIGURING for s in steps) and inside_all_limits(panda, joints(panda, steps))
+    assert any(s.status is StepStatus.RECONFIGURING for s in steps)
+    assert keeps_limits(panda, joints(panda, steps), DT, accelerations(panda))
 
 
 def test_the_last_step_of_the_way_may_be_blocked(panda):
@@ -134,16 +114,16 @@ def test_the_last_step_of_the_way_may_be_blocked(panda):
     assert gap(T, way._vain) == 0.0
 
 
-def test_an_elbow_keeps_its_side(hydrolek):
-    elbow = {"elbow_pitch": float(np.sign(hydrolek.home[hydrolek.joint_names.index("elbow_pitch")]))}
-    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0), elbow=elbow)
-    side = joints(hydrolek, steps)[:, hydrolek.joint_names.index("elbow_pitch")] * elbow["elbow_pitch"]
+def test_an_elbow_keeps_its_side(arm):
+    elbow = {"elbow_pitch": float(np.sign(arm.home[arm.joint_names.index("elbow_pitch")]))}
+    steps = follow(arm, turned(arm.fk(arm.home).homogeneous, 720.0, 2.0), elbow=elbow)
+    side = joints(arm, steps)[:, arm.joint_names.index("elbow_pitch")] * elbow["elbow_pitch"]
     assert (side >= -1e-12).all()
 
 
-def test_out_of_all_reach_nothing_changes(panda, hydrolek):
+def test_out_of_all_reach_nothing_changes(panda, arm):
     """Half a metre out of reach and back: the same commands, to the last bit, as without."""
-    for robot in (panda, hydrolek):
+    for robot in (panda, arm):
         T0 = robot.fk(robot.home).homogeneous
         way = np.concatenate([np.linspace(0.0, 1.0, 150), np.ones(250), np.linspace(1.0, 0.0, 150)])
         targets = np.repeat(T0[None], len(way), axis=0)
@@ -160,15 +140,15 @@ def test_a_locked_joint_is_left_alone(panda):
         assert tracker.update(T, DT).status is not StepStatus.RECONFIGURING
 
 
-def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(hydrolek):
-    tracker, away = ik.Tracker(hydrolek), hydrolek.fk(hydrolek.home).homogeneous
+def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(arm):
+    tracker, away = ik.Tracker(arm), arm.fk(arm.home).homogeneous
     tracker.update(away, DT)
     away[:3, 3] += (0.0, 0.0, 3.0)  # out of reach
     while not tracker._behind:
         tracker.update(away, DT)
     way = tracker._ways[-1]
     way._lost = 1.0
-    back = hydrolek.fk(tracker.q)
+    back = arm.fk(tracker.q)
     for _ in range(30):
         tracker.update(back, DT)
     assert way._lost == 0.0 and not tracker._behind
@@ -195,8 +175,8 @@ def test_a_joint_that_is_locked_meanwhile_ends_it(panda, search):
 
 
 @pytest.mark.parametrize("what", ["posture", "leap"])
-def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(hydrolek, what):
-    robot = hydrolek
+def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(arm, what):
+    robot = arm
     tracker = ik.Tracker(robot, q0=robot.home, acceleration_limits=accelerations(robot))
     targets = turned(robot.fk(robot.home).homogeneous, 360.0, 2.0)
     if what == "leap":

@@ -8,8 +8,9 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidOption, InvalidTarget
-from ik_toolkit.servo.default_path import joint_motion
+from ik_toolkit.servo.default_path import eight, joint_motion
 from ik_toolkit.servo.methods import Method, make_method
+from ik_toolkit.servo.path_reach import scaled
 from ik_toolkit.servo.stability import best_gains, check_gains
 
 START = pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, -0.2, 0.6])).homogeneous
@@ -27,7 +28,21 @@ SHAPES = {
     ),
     "waypoints": lambda a, b, c: ik.waypoints([a, b, c, a], duration=6.0),
     "spline": lambda a, b, c: ik.waypoints([a, b, c, a], times=[0.0, 1.0, 3.5, 6.0], law="spline"),
+    "eight": lambda a, b, c: eight(a, 0.07, (0.2, -0.5, 1.0), turns=2.0, duration=3.0),
+    "scaled eight": lambda a, b, c: scaled(eight(a, 0.1, (0.0, 0.0, 1.0), duration=3.0, law="minimum-jerk"), 0.6),
 }
+
+
+def derivatives_are_those_of_the_poses(ref, t, d=1e-5):
+    """Compare twists and accelerations with differences."""
+    (T0, V0, _), (T, V, A), (T1, V1, _) = ref.at(t - d), ref.at(t), ref.at(t + d)
+    assert V[:, :3] == pytest.approx((T1[:, :3, 3] - T0[:, :3, 3]) / (2 * d), abs=1e-8)
+    turned = np.array([pin.log3(b @ a.T) for a, b in zip(T0[:, :3, :3], T1[:, :3, :3], strict=True)])
+    assert V[:, 3:] == pytest.approx(turned / (2 * d), abs=1e-8)
+    assert A == pytest.approx((V1 - V0) / (2 * d), abs=1e-7)
+    assert T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2) == pytest.approx(
+        np.tile(np.eye(3), (len(t), 1, 1)), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
@@ -35,17 +50,7 @@ SHAPES = {
 def test_twist_and_acceleration_are_the_derivatives(name, pose):
     ref = SHAPES[name](*((START, END, MIDDLE) if pose else (START[:3, 3], END[:3, 3], MIDDLE[:3, 3])))
     assert ref.position_only is not pose
-    t = np.linspace(0.013, ref.duration - 0.017, 41)
-    d = 1e-5
-    (T0, V0, _), (T, V, A), (T1, V1, _) = ref.at(t - d), ref.at(t), ref.at(t + d)
-    assert V[:, :3] == pytest.approx((T1[:, :3, 3] - T0[:, :3, 3]) / (2 * d), abs=2e-8)
-    assert A[:, :3] == pytest.approx((V1[:, :3] - V0[:, :3]) / (2 * d), abs=2e-5)
-    turned = np.array([pin.log3(b @ a.T) for a, b in zip(T0[:, :3, :3], T1[:, :3, :3], strict=True)])
-    assert V[:, 3:] == pytest.approx(turned / (2 * d), abs=2e-8)
-    assert A[:, 3:] == pytest.approx((V1[:, 3:] - V0[:, 3:]) / (2 * d), abs=2e-5)
-    assert T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2) == pytest.approx(
-        np.broadcast_to(np.eye(3), (41, 3, 3)), abs=1e-12
-    )
+    derivatives_are_those_of_the_poses(ref, np.linspace(0.013, ref.duration - 0.017, 41))
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -149,18 +154,22 @@ def test_bad_npz_and_bytes(tmp_path):
         file.write_bytes(content)
         with pytest.raises(InvalidTarget):
             ik.reference_from_file(file)
-    np.savez(file, t=[0, 1], positions=np.zeros((2, 3)))
-    with pytest.raises(InvalidTarget, match="no array 'xyz'"):
-        ik.reference_from_file(file)
-    np.savez(file, t=[0, 1], xyz=np.zeros((3, 2)))
-    with pytest.raises(InvalidTarget, match="shape"):
-        ik.reference_from_file(file)
-    np.savez(file, t=[0, 1, 2], xyz=np.zeros((2, 3)))
-    with pytest.raises(InvalidTarget, match="2 numbers"):
-        ik.reference_from_file(file)
-    np.savez(file, t=np.array([{}, {}], dtype=object), xyz=np.zeros((2, 3)))  # pickled objects are never loaded
-    with pytest.raises(InvalidTarget):
-        ik.reference_from_file(file)
+    for arrays, words in (
+        (dict(t=[0, 1], positions=np.zeros((2, 3))), "no array 'xyz'"),
+        (dict(t=[0, 1], xyz=np.zeros((3, 2))), "shape"),
+        (dict(t=[0, 1, 2], xyz=np.zeros((2, 3))), "2 numbers"),
+        (dict(t=[0.0], xyz=np.zeros((1, 3))), r"'bad.npz' has 1 row\(s\); a path needs at least 2"),
+        (dict(t=[0.0, 1e-101, 1.0], xyz=np.zeros((3, 3))), "bad.npz: times less than .* s apart make no curve"),
+        (
+            dict(t=np.array([{}, {}], dtype=object), xyz=np.zeros((2, 3))),
+            "the type object, not real numbers",
+        ),  # pickled objects are never loaded
+    ):
+        np.savez(file, **arrays)
+        with pytest.raises(InvalidTarget, match=words):
+            ik.reference_from_file(file)
+    np.savez(file, t=[0.0, 0.5, 1.0], xyz=np.zeros((3, 3)))
+    assert ik.reference_from_file(file).duration == 1.0
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(InvalidTarget):
         ik.reference_from_file(tmp_path / "bytes.csv")
@@ -186,6 +195,10 @@ def test_a_file_that_grows_without_measure_is_refused(tmp_path):
         ik.reference_from_file(file)
 
 
+def timed(times):
+    return ik.waypoints([START, END, MIDDLE], times=times)
+
+
 @pytest.mark.parametrize(
     "make, error, words",
     [
@@ -201,7 +214,15 @@ def test_a_file_that_grows_without_measure_is_refused(tmp_path):
         (lambda: ik.waypoints([START, END[:3, 3]], duration=1.0), InvalidTarget, "all poses or all positions"),
         (lambda: ik.waypoints([START, END]), InvalidOption, "times= or duration="),
         (lambda: ik.waypoints([START, END, END], duration=1.0), InvalidTarget, "1 and 2 are the same"),
-        (lambda: ik.waypoints([START, END], times=[0.0, 0.0]), InvalidTarget, "must increase"),
+        (
+            lambda: timed([0.0, 1.0]),
+            InvalidTarget,
+            r"times must be 3 numbers, one per pose, not an array of shape \(2,\)",
+        ),
+        (lambda: timed([0.0, np.nan, 1.0]), InvalidTarget, r"times has a value that is not finite \(number 2\)"),
+        (lambda: timed([0.0, 2.0, 1.0]), InvalidTarget, "times must increase: number 3 is 1 after 2"),
+        (lambda: timed([0.0, 1.0, 1.0]), InvalidTarget, "times must increase: number 3 is 1 after 1"),
+        (lambda: ik.reference_from_file([1]), InvalidTarget, "a reference file is named by a path, not list"),
         (lambda: ik.waypoints([START, END], duration=1.0, law="linear"), InvalidOption, "no waypoint law"),
         (lambda: ik.Reference(lambda t: t, 1.0, position_only="no"), InvalidOption, "position_only is True or False"),
     ],
@@ -255,9 +276,5 @@ def test_wrong_inputs_are_typed(wrong):
 @pytest.mark.parametrize("seconds", [3.0, 9.0])
 def test_the_default_path_knows_its_velocity_and_acceleration(seconds):
     robot = ik.Robot.load("planar_3r")
-    motion, h = joint_motion(robot, robot.home + 0.1, duration=seconds), 1e-5
-    t = np.linspace(0.1, seconds - 0.1, 9)
-    (_, V, A), before, after = (motion.at(x) for x in (t, t - h, t + h))
-    slid = (after[0] - before[0])[:, :3, 3] / (2.0 * h)
-    assert np.abs(V[:, :3] - slid).max() < 1e-7 * max(1.0, np.abs(V).max())
-    assert np.abs(A - (after[1] - before[1]) / (2.0 * h)).max() < 1e-6 * max(1.0, np.abs(A).max())
+    motion = joint_motion(robot, robot.home + 0.1, duration=seconds)
+    derivatives_are_those_of_the_poses(motion, np.linspace(0.1, seconds - 0.1, 9))

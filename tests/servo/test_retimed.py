@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
+from references import keeps_limits, line_of
 from robots import have_data, urdf
 
 import ik_toolkit as ik
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
-
-
-def keeps_speeds(robot, run):
-    speed = np.abs(np.diff(run.q, axis=0)) / run.dt
-    return (speed <= np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf) * (1.0 + 1e-9)).all()
 
 
 @DATA
@@ -20,7 +16,7 @@ def test_a_reference_that_can_be_followed_in_its_own_time_is_not_slowed():
     robot = ik.Tree.load("pr2")
     reference = {tip: ik.circle(T.homogeneous, 0.1, duration=3.8) for tip, T in robot.fk(robot.home).items()}
     run = ik.track(robot, reference, q0=robot.home)
-    assert run.status.name == "COMPLETED" and run.limited.any() and keeps_speeds(robot, run)
+    assert run.status.name == "COMPLETED" and run.limited.any() and keeps_limits(robot, run.q, run.dt)
 
 
 def test_joints_beside_the_slow_one_do_its_part():
@@ -28,10 +24,8 @@ def test_joints_beside_the_slow_one_do_its_part():
     robot = ik.Robot.load("hydrolek_7w")
     middle = 0.5 * (robot.lower + robot.upper)
     q0 = robot.home + 0.2 * (middle - robot.home)
-    start = robot.fk(q0).translation
-    reference = ik.line(start, start + np.array([0.15, 0.0, 0.0]), duration=0.2, law="minimum-jerk")
-    run = ik.track(robot, reference, q0=q0)
-    assert run.status.name == "SLOWED" and keeps_speeds(robot, run)
+    run = ik.track(robot, line_of(robot, q0, (0.15, 0.0, 0.0), 0.2, free=True), q0=q0)
+    assert run.status.name == "SLOWED" and keeps_limits(robot, run.q, run.dt)
     assert run.t[-1] < 2.6 * run.end
 
 
@@ -51,9 +45,8 @@ def test_a_fast_line_in_few_samples_takes_hardly_longer():
     """A clock without corners: steps err where the target begins to brake, and half as fast is not needed for that."""
     robot = ik.Robot.load("planar_2r")
     q0 = np.array([0.3, 0.9])
-    start = robot.fk(q0).translation
-    run = ik.track(robot, ik.line(start, start + np.array([-0.9, 0.5, 0.0]), duration=0.3, law="minimum-jerk"), q0=q0)
-    assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_speeds(robot, run)
+    run = ik.track(robot, line_of(robot, q0, (-0.9, 0.5, 0.0), 0.3, free=True), q0=q0)
+    assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_limits(robot, run.q, run.dt)
 
 
 @pytest.mark.parametrize("method", ["ca", "aa", "aad"])
@@ -71,31 +64,19 @@ def test_methods_of_accelerations_take_about_as_long_as_cv(method):
 @pytest.mark.parametrize("law", ["minimum-jerk", "constant"])
 def test_a_clock_that_nearly_stands_still_asks_for_no_terabytes(law):
     """Four joints lead the tip to where it can only creep; the time law of this run was 1e8 to 1e13 steps long."""
+    first, third = (0.2132237964141146, 1.6648112338845278), (-0.07526373902942951, 1.906070118039701)
     turn, speed = 0.5 * np.pi, '<limit velocity="2" effort="1"/>'
     robot = ik.Robot.load(
         urdf(
-            dict(
-                kind="revolute",
-                xyz="-0.2 0 0",
-                rpy=f"{-turn} {2 * turn} 0",
-                axis="0 -1 0",
-                limits=(0.2132237964141146, 1.6648112338845278),
-            ),
+            dict(kind="revolute", xyz="-0.2 0 0", rpy=f"{-turn} {2 * turn} 0", axis="0 -1 0", limits=first),
             dict(kind="continuous", mimic=speed, xyz="0 0 -0.2", rpy=f"{turn} {-turn} {-turn}", axis="0 1 0"),
-            dict(
-                kind="revolute",
-                xyz="0 -0.2 0",
-                rpy=f"{-turn} {turn} {-turn}",
-                axis="0 -1 0",
-                limits=(-0.07526373902942951, 1.906070118039701),
-            ),
+            dict(kind="revolute", xyz="0 -0.2 0", rpy=f"{-turn} {turn} {-turn}", axis="0 -1 0", limits=third),
             dict(kind="continuous", mimic=speed, xyz="0 0 0.3", rpy=f"{turn} 0 {-turn}", axis="1 0 0"),
             dict(kind="fixed", xyz="-0.1574968237176962 0.15020221303086362 -0.1671111511690564", rpy="0.3 0.2 0.1"),
         )
     )
     q0 = np.array([1.57849965, 1.38494693, 0.06289538, -1.02461228])
-    a = robot.fk(q0).translation
-    reference = ik.line(a, a + np.array([-0.62852916, 0.01108644, 0.15225849]), duration=0.5, law=law)
+    reference = line_of(robot, q0, (-0.62852916, 0.01108644, 0.15225849), 0.5, law, free=True)
     assert ik.track(robot, reference, "aad", dt=0.004, q0=q0).status.name == "LOST"
 
 
@@ -106,9 +87,7 @@ def test_of_runs_that_all_leave_the_reference_the_nearest_one_is_kept():
     for seed, gain in ((7, 1.25), (26, 0.6), (30, 1.25)):
         rng = np.random.default_rng(seed)
         q0, way = robot.random_q(rng), rng.normal(size=3)
-        end = robot.fk(q0).homogeneous
-        end[:3, 3] += 0.4 * robot.reach * way / np.linalg.norm(way)
-        reference = ik.line(robot.fk(q0), end, duration=2.0, law="minimum-jerk")
+        reference = line_of(robot, q0, 0.4 * robot.reach * way / np.linalg.norm(way), 2.0)
         slow, own = (ik.track(robot, reference, q0=q0, on_limit=mode) for mode in ("slow", "leave"))
         assert slow.status.name in ("LEFT", "LOST")
         assert slow.position_error.max() < gain * own.position_error.max()

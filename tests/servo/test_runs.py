@@ -9,10 +9,8 @@ import pytest
 from references import Q0, panda_reference
 
 import ik_toolkit as ik
-from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.servo.run import TrackInterrupted, track
-from ik_toolkit.servo.tracker import Tracker
+from ik_toolkit.servo.run import TrackInterrupted
 
 
 @pytest.mark.parametrize(("rule", "position", "orientation"), [
@@ -22,7 +20,7 @@ from ik_toolkit.servo.tracker import Tracker
     pytest.param("pid", 0.01, 0.1, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_solver_rules_as_trackers(panda, rule, position, orientation):
-    run = track(panda, panda_reference(panda, True, 6.0), rule, dt=0.005, q0=Q0)
+    run = ik.track(panda, panda_reference(panda, True, 6.0), rule, dt=0.005, q0=Q0)
     assert run.gain_check is None and len(run.t) == 1201
     assert run.figures["position"]["settled_max"] < position
     assert run.figures["orientation"]["settled_max"] < orientation
@@ -31,7 +29,7 @@ def test_solver_rules_as_trackers(panda, rule, position, orientation):
 def test_wrong_options_of_a_rule_are_refused(panda):
     ref = panda_reference(panda, True, 1.0)
     with pytest.raises(InvalidOption, match="no option 'dampling'"):
-        track(panda, ref, "dls", dampling=1.0)
+        ik.track(panda, ref, "dls", dampling=1.0)
 
 
 @pytest.mark.parametrize("method", ["cv", "lm"])
@@ -50,7 +48,7 @@ def test_wrong_names_are_refused_before_anything_runs(panda, method):
     ref = panda_reference(panda, True, 1.0)
     for wrong, meant in (("max_strech", "max_stretch"), ("positon_tolerance", "position_tolerance"), ("q_0", "q0")):
         with pytest.raises(InvalidOption, match=f"{method} has no option '{wrong}'. Did you mean '{meant}'"):
-            track(panda, ref, method, **{wrong: 1.0})
+            ik.track(panda, ref, method, **{wrong: 1.0})
     with pytest.raises(InvalidOption, match=f"{method} has no option 'acceleration_limit'. .*'acceleration_limits'"):
         ik.Tracker(panda, method, acceleration_limit=1.0)
 
@@ -126,137 +124,97 @@ def test_a_cost_that_is_not_finite_is_told_and_no_step_is_taken(panda):
     assert np.array_equal(tracker.q, before) and before[0] > Q0[0]
 
 
-def test_saved_files(panda, tmp_path):
-    run = track(panda, panda_reference(panda, True, 1.0), "aad", dt=0.01, q0=Q0)
-    with np.load(run.save(tmp_path / "run.npz")) as data:
-        assert np.array_equal(data["q"], run.q) and list(data["joint_names"]) == list(panda.joint_names)
-        assert np.array_equal(data["orientation_error"], run.orientation_error)
-    rows = run.save(tmp_path / "run.csv").read_text().splitlines()
-    assert len(rows) == 102 and rows[0].startswith("t,q_panda_joint1") and rows[0].endswith("orientation_error,clock")
-    assert np.array_equal([float(x) for x in rows[-1].split(",")][1:8], run.q[-1])
-    ros = json.loads(run.save(tmp_path / "run.json").read_text())
-    assert ros == run.to_ros() and ros["joint_names"] == list(panda.joint_names)
-    assert ros["points"][7]["positions"] == run.q[7].tolist() and ros["points"][7]["velocities"] == run.rate[7].tolist()
-    assert [point["time_from_start"] for point in ros["points"][99:101]] == [
-        {"sec": 0, "nanosec": 990_000_000},
-        {"sec": 1, "nanosec": 0},
-    ]
-    with pytest.raises(InvalidOption, match=r"npz, \.csv or \.json"):
-        run.save(tmp_path / "run.txt")
-    assert run.figures["position"]["between_settled_max"] >= 0.0
-
-
-def test_command(capsys, tmp_path):
+def test_command(run, tmp_path):
     plot, file = tmp_path / "cut.png", tmp_path / "cut.npz"
     cut = "track hydrolek_7w --path line --length 0.3 --axis 0 0 -1 --rate 200 -m ca".split()
-    assert main([*cut, "--plot", str(plot), "-o", str(file)]) == 0
-    out = capsys.readouterr()
-    assert "COMPLETED" in out.out and "shoulder_pitch" in out.out
+    code, out, _ = run(*cut, "--plot", plot, "-o", file)
+    assert code == 0 and "COMPLETED" in out and "shoulder_pitch" in out
     assert plot.stat().st_size > 20_000 and file.is_file()
-    assert main([*cut, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["success"] and data["figures"]["position"]["max"] < 1e-6 and data["stability"]["verdict"] == "stable"
+    code, out, _ = run(*cut, "--json")
+    data = json.loads(out)
+    assert code == 0 and data["success"] and data["figures"]["position"]["max"] < 1e-6
+    assert data["stability"]["verdict"] == "stable"
 
 
-def test_command_warns_and_refuses(capsys):
+def test_command_warns(run):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the command shows the warning itself
-        code = main(
-            [
-                "track",
-                "planar_2r",
-                "-m",
-                "ca",
-                "--kp",
-                "30000",
-                "--kd",
-                "20",
-                "--duration",
-                "3",
-                "--no-limits",
-                "--json",
-            ]
-        )
-    out = capsys.readouterr()
-    assert code == 1 and "unstable" in out.err and "Try kp" in out.err
-    assert json.loads(out.out)["status"] == "DIVERGED"
-    for arguments, words in (
-        (["--path", "circel"], "Did you mean 'circle'"),
-        (["-m", "cw"], "Did you mean 'cv'"),
-        (["--rate", "0"], "--rate"),
-        (["-o", "run.txt"], ".npz, .csv or .json"),
-        (["--path", "missing.csv"], "no reference file"),
-        (["-p", "damping=x"], "damping must be a number"),
-    ):
-        assert main(["track", "planar_2r", *arguments]) == 2
-        assert words in capsys.readouterr().err
+        code, out, err = run(*"track planar_2r -m ca --kp 30000 --kd 20 --duration 3 --no-limits --json".split())
+    assert code == 1 and "unstable" in err and "Try kp" in err and json.loads(out)["status"] == "DIVERGED"
 
 
-@pytest.mark.parametrize("pair", ["dt=0.1", "q0=3", "settle=1", "method=av", "robot=ur5", "acceleration_limits=3"])
-def test_command_refuses_what_has_an_option_of_its_own(pair, capsys):
-    assert main(["track", "planar_2r", "-p", pair]) == 2
-    assert f"-p cannot set {pair.split('=')[0]}" in capsys.readouterr().err
+OWN_OPTIONS = ("dt=0.1", "q0=3", "settle=1", "method=av", "robot=ur5", "acceleration_limits=3")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--path circel", "Did you mean 'circle'"),
+        ("-m cw", "Did you mean 'cv'"),
+        ("--rate 0", "--rate"),
+        ("-o run.txt", ".npz, .csv or .json"),
+        ("--path missing.csv", "no reference file"),
+        ("-p damping=x", "damping must be a number"),
+        ("--position-tolerance -1", "--position-tolerance"),
+        ("--orientation-tolerance 0", "--orientation-tolerance"),
+        ("--path line --length 0.1 --turns 1.5", "rounds of a line must be a whole number"),  # was one round
+        ("--path line --end 1.2 0.9 0 --turns 1.5", "rounds of a line must be a whole number"),
+        ("--axis 0 0 0", "--axis must not be zero"),
+        # They were passed over: `--length 0.1` alone gave a circle of 0.1 m radius.
+        ("--length 0.1", "--length cannot be used with --path circle; it takes --radius, --axis, --start"),
+        ("--path line --radius 0.1 --turns 1", "--radius cannot be used with --path line; it takes --length"),
+        ("--path eight --end 1 0 0", "--end cannot be used with --path eight"),
+        (
+            "--path line --end 1 0 0 --length 0.1 --axis 0 0 1",
+            "--length, --axis cannot be used with --path line with --end",
+        ),
+        (
+            "--path p.csv --turns 2 --law constant",
+            "--law, --turns cannot be used with a path from a file, which says all of it",
+        ),
+        *[(f"-p {pair}", f"-p cannot set {pair.split('=')[0]}") for pair in OWN_OPTIONS],
+    ],
+)
+def test_command_refuses(run, words, said):
+    code, _, err = run("track", "planar_2r", *words.split())
+    assert code == 2 and said in " ".join(err.split())
 
 
 def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
     for robot in (None, "panda"):
         with pytest.raises(InvalidOption, match=r"Robot\.load"):
-            track(robot, ref)
+            ik.track(robot, ref)
         with pytest.raises(InvalidOption, match=r"Robot\.load"):
-            Tracker(robot)
-    for option, value in (
-        ("dt", 0.0),
-        ("dt", -0.01),
-        ("dt", np.nan),
-        ("dt", None),
-        ("dt", "fast"),
-        ("limits", 3),
-        ("limits", "no"),
-        ("method", None),
-        ("method", ["cv"]),
-        ("method", 7),
-        ("acceleration_limits", np.nan),
-        ("acceleration_limits", "high"),
-        ("kappa", "high"),
-        ("kappa", None),
+            ik.Tracker(robot)
+    no_joints = (np.zeros(3), np.full(7, np.nan), {}, np.zeros((7, 1)))
+    for call, option, error, values in (
+        (ik.track, "dt", IKError, (0.0, -0.01, np.nan, None, "fast")),
+        (ik.track, "limits", IKError, (3, "no")),
+        (ik.track, "acceleration_limits", IKError, (np.nan, "high")),
+        (ik.track, "kappa", IKError, ("high", None)),
+        (ik.track, "q0", InvalidConfiguration, no_joints),
+        (ik.track, "rate0", InvalidConfiguration, no_joints),
+        (ik.Tracker, "jump", InvalidOption, (0.0, -1.0, np.nan, "far")),
     ):
-        with pytest.raises(IKError, match=r"."):
-            track(panda, ref, **{option: value})
-    for option in ("q0", "rate0"):
-        for value in (np.zeros(3), np.full(7, np.nan), {}, np.zeros((7, 1))):
-            with pytest.raises(InvalidConfiguration, match=option):
-                track(panda, ref, **{option: value})
-    for jump in (0.0, -1.0, np.nan, "far"):
-        with pytest.raises(InvalidOption, match="jump"):
-            Tracker(panda, jump=jump)
+        for value in values:
+            with pytest.raises(error, match=option):
+                call(panda, **({"reference": ref} if call is ik.track else {}), **{option: value})
 
-    def broken(change, **options):
-        def function(t):
-            T, V, A = (np.array(part) for part in ref.at(t))
-            return change(T, V, A, t > 0.5)
+    for method in (None, ["cv"], 7):
+        with pytest.raises(IKError, match=r"a solver must be a name|no tracking method"):
+            ik.track(panda, ref, method)
 
-        return ik.Reference(function, 1.0, name="mine", **options)
-
-    def at(part, value):
-        def change(T, V, A, late):
-            (T, V, A)[part][late] = value
-            return T, V, A
-
-        return change
-
-    for change in (at(1, np.inf), at(2, np.nan), at(0, 0.0)):
-        with pytest.raises(InvalidTarget, match=r"reference 'mine' is n.* at t = 0.51 s"):
-            track(panda, broken(change), q0=Q0)
     for change in (
-        lambda T, V, A, late: (T, V),
-        lambda T, V, A, late: None,
-        lambda T, V, A, late: (T, V, "no"),
-        lambda T, V, A, late: (T[:1], V, A),
-        lambda T, V, A, late: (T[:, :3], V, A),
+        lambda T, V, A: (T, V),
+        lambda T, V, A: None,
+        lambda T, V, A: (T, V, "no"),
+        lambda T, V, A: (T[:1], V, A),
+        lambda T, V, A: (T[:, :3], V, A),
     ):
+        broken = ik.Reference(lambda t, change=change: change(*ref.at(t)), 1.0, name="mine")
         with pytest.raises(InvalidTarget, match="reference 'mine' must give"):
-            track(panda, broken(change), q0=Q0)
+            ik.track(panda, broken, q0=Q0)
     with pytest.raises(InvalidOption, match="function of time"):
         ik.Reference(None, 1.0)
     for duration in (0.0, -1.0, np.nan, "long", None):
@@ -266,7 +224,7 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
 
 def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
     ref, calls = panda_reference(panda, True, 1.0), []
-    run = Tracker.run
+    run = ik.Tracker.run
 
     def interrupted(self, *args, **options):
         calls.append(1)
@@ -274,8 +232,8 @@ def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
             raise KeyboardInterrupt
         return run(self, *args, **options)
 
-    monkeypatch.setattr(Tracker, "run", interrupted)
+    monkeypatch.setattr(ik.Tracker, "run", interrupted)
     with pytest.raises(TrackInterrupted) as caught:
-        track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
+        ik.track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
     kept = caught.value.result
     assert str(caught.value).startswith("interrupted") and 0 < len(kept.t) < 101 and kept.q.shape == (len(kept.t), 7)

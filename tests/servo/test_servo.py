@@ -3,45 +3,23 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from references import Q0, panda_reference
+from references import Q0, line_of, most_turns, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.servo import viability
-from ik_toolkit.servo.run import track
 from ik_toolkit.servo.step import StepStatus
-from ik_toolkit.servo.tracker import Tracker
-
-
-def sign_changes(run, amplitude=0.05):
-    """Most sign changes of a joint's speed in 100 ms, as far as it is faster than `amplitude` [rad/s]."""
-    speed = np.diff(run.q, axis=0) / run.dt
-    window, most = round(0.1 / run.dt), 0
-    for v in speed.T:
-        sign = np.sign(v) * (np.abs(v) > amplitude)
-        for k in range(len(sign) - window):
-            part = sign[k : k + window]
-            most = max(most, int((np.diff(part[part != 0.0]) != 0.0).sum()))
-    return most
 
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
 def test_published_forms_are_themselves_where_nothing_binds(panda, method):
     ref = panda_reference(panda, True, 1.0)
-    wanted = track(panda, ref, method, q0=Q0, on_limit="clip")
+    wanted = ik.track(panda, ref, method, q0=Q0, on_limit="clip")
     for on_limit in ("slow", "leave"):
-        run = track(panda, ref, method, q0=Q0, on_limit=on_limit)
+        run = ik.track(panda, ref, method, q0=Q0, on_limit=on_limit)
         assert np.array_equal(run.q, wanted.q) and np.array_equal(run.rate, wanted.rate)
         assert np.array_equal(run.clock, run.t) and (run.sigma == 1.0).all() and (run.pace == -1).all()
         assert run.status.name == "COMPLETED"
-
-
-def line_of(robot, q, way, duration):
-    """Straight line from the tip at q, its orientation kept."""
-    start = robot.fk(q).homogeneous
-    end = start.copy()
-    end[:3, 3] += way
-    return ik.line(start, end, duration=duration, law="minimum-jerk")
 
 
 @pytest.mark.parametrize("method", ["cv", "aad"])
@@ -49,7 +27,7 @@ def line_of(robot, q, way, duration):
 def test_time_gives_way_before_the_path(panda, method, acceleration):
     """A line at four times the feasible speed: by default slower on the line; on time but off the line if requested."""
     ref = line_of(panda, Q0, (0.0, 0.5, 0.0), 0.25)
-    run = track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, settle=0.0)
+    run = ik.track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, settle=0.0)
     assert run.status.name == "SLOWED" and run.success, run.message
     assert run.position_error.max() < 1e-3 and run.clock[-1] == pytest.approx(0.25)
     across = run.xyz - run.xyz[0]
@@ -59,68 +37,34 @@ def test_time_gives_way_before_the_path(panda, method, acceleration):
     assert run.pace_joint in run.message and (run.pace[run.sigma < 0.9] >= 0).mean() > 0.7
     speed = np.abs(np.diff(run.q, axis=0)) / run.dt
     assert (speed <= panda.velocity_limits * (1.0 + 1e-9)).all()
-    leaving = track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, on_limit="leave")
+    leaving = ik.track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, on_limit="leave")
     assert leaving.t[-1] == pytest.approx(0.25) and leaving.position_error.max() > 0.01
     assert (leaving.sigma == 1.0).all()
 
 
 def test_a_run_ends_after_the_stretch_it_is_allowed(panda):
     ref = line_of(panda, Q0, (0.0, 0.5, 0.0), 0.1)
-    run = track(panda, ref, dt=0.005, q0=Q0, max_stretch=1.5)
+    run = ik.track(panda, ref, dt=0.005, q0=Q0, max_stretch=1.5)
     assert run.t[-1] == pytest.approx(0.15) and run.clock[-1] < 0.1
     assert run.status.name == "LOST" and "panda_joint" in run.message
     for wrong in (0.5, "long", np.nan):
         with pytest.raises(InvalidOption, match="max_stretch"):
-            track(panda, ref, max_stretch=wrong)
-    with pytest.raises(InvalidOption, match=r"on_limit.*slow"):
-        track(panda, ref, on_limit="slwo")
+            ik.track(panda, ref, max_stretch=wrong)
+    for wrong, said in (("slwo", "on_limit.*slow"), ("direct", r"no on_limit 'direct'; 'direct' is for ik\.Tracker\.")):
+        with pytest.raises(InvalidOption, match=said):
+            ik.track(panda, ref, on_limit=wrong)
 
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
 def test_beyond_the_reach_the_arm_waits_at_its_edge(planar, method):
     """No error beyond the least there is, no chatter, and the elbow comes back on its side."""
     ref = ik.line((1.2, 0, 0), (2.1, 0, 0), duration=12.6, rounds=1)
-    run = track(planar, ref, method, dt=0.02, on_limit="leave")
+    run = ik.track(planar, ref, method, dt=0.02, on_limit="leave")
     least = np.maximum(np.linalg.norm(run.target_xyz, axis=1) - 2.0, 0.0)
     late = {"cv": 2e-3, "av": 2e-3}.get(method, 4e-3)  # at its speed limit the elbow falls behind by 1.4 mm, or 3.1 mm
     assert (run.position_error <= least + late).all()  # where only half of a step is taken at the new rate
-    assert sign_changes(run) <= 3
+    assert most_turns(run.q, np.ones(2), run.dt) <= 3
     assert np.sign(run.q[0, 1]) == np.sign(run.q[-1, 1]) and run.position_error[-20:].max() < 1e-3
-
-
-@pytest.mark.parametrize("method", ["cv", "aad"])
-@pytest.mark.parametrize("acceleration", [None, 10.0])
-def test_far_out_of_reach_the_arm_rests_where_the_weighted_error_is_least(panda, method, acceleration):
-    """The tool turns towards a target half a metre out, as far as 0.2 m for a radian say; no joint swings about that pose."""
-    tracker = Tracker(panda, method, q0=Q0, rate0=np.zeros(7), acceleration_limits=acceleration)
-    target = panda.fk(Q0).homogeneous
-    target[:3, 3] *= (panda.reach + 0.5) / np.linalg.norm(target[:3, 3])
-    q = np.array([tracker.update(target, 0.01).q for _ in range(600)])
-    assert np.abs(np.diff(q[-100:], axis=0)).max() < 1e-4
-    T, J = (one[0] for one in panda.chain.forward(q[-1:], jacobian=True))
-    e = np.append(target[:3, 3] - T[:3, 3], 0.2 * pin.log3(target[:3, :3] @ T[:3, :3].T))
-    slope = np.append(J[:3], 0.2 * J[3:], axis=0).T @ e
-    stopped = (q[-1] <= panda.lower + 1e-7) & (slope < 0.0) | (q[-1] >= panda.upper - 1e-7) & (slope > 0.0)
-    assert np.abs(np.where(stopped, 0.0, slope)).max() < 1e-3 * np.linalg.norm(e)
-
-
-@pytest.mark.parametrize(
-    ("name", "q0", "way", "posed"),
-    [
-        ("panda", (-0.369, -0.299, 1.673, -2.365, -1.663, 1.98, 1.451), (0.078, 0.482, 0.873), True),
-        ("panda", (1.659, -0.651, 1.564, -1.703, 0.812, 2.332, -0.665), (0.136, -0.48, 0.037), True),
-        ("ur5", (3.56, 0.329, -0.409, -1.031, -3.229, 0.013), (-0.359, -0.248, 0.244), False),
-    ],
-)
-def test_out_of_reach_of_a_target_that_stands_the_arm_comes_to_rest(name, q0, way, posed):
-    """Without acceleration limits, where joints could turn back in every step."""
-    robot = ik.Robot.load(name)
-    target = robot.fk(q0).homogeneous
-    target[:3, 3] += way
-    tracker = Tracker(robot, q0=q0)
-    steps = [tracker.update(target if posed else target[:3, 3].copy(), 0.01) for _ in range(500)]
-    assert np.abs([step.rate for step in steps[-50:]]).max() < 0.01
-    assert steps[-1].position_error > 0.04
 
 
 @pytest.mark.parametrize(
@@ -136,7 +80,7 @@ def test_with_acceleration_limits_too_the_arm_comes_to_rest(name, method, q0, pl
     """Joints swung for ever at a tenth of their speed limits and more. When the target comes back, the tip follows at once."""
     robot = ik.Robot.load(name)
     target = pin.SE3(pin.exp3(np.array(turn)), np.array(place)).homogeneous
-    tracker = Tracker(robot, method, q0=q0, acceleration_limits=10.0, reconfigure=False)
+    tracker = ik.Tracker(robot, method, q0=q0, acceleration_limits=10.0, reconfigure=False)
     steps = [tracker.update(target, 0.01) for _ in range(1500)]
     assert np.abs([step.rate / robot.velocity_limits for step in steps[-100:]]).max() < 0.01
     errors = [np.hypot(step.position_error, 0.2 * step.orientation_error) for step in steps]
@@ -151,38 +95,27 @@ def test_with_acceleration_limits_too_the_arm_comes_to_rest(name, method, q0, pl
 def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
     """The line that made three joints flip between their speed limits every sample."""
     ref = line_of(panda, Q0, (0.4, 0.0, 0.3), 4.0)
-    run = track(panda, ref, q0=Q0, on_limit="leave")
-    run.q = run.q[-150:]  # all beyond the reach
-    assert sign_changes(run) == 0
+    run = ik.track(panda, ref, q0=Q0, on_limit="leave")
+    assert most_turns(run.q[-150:], np.ones(7), run.dt) == 0  # all beyond the reach
 
 
-@pytest.mark.parametrize(("name", "method"), [("xarm7", "cv"), ("xarm7", "aad")])
-def test_joints_do_not_chatter_where_the_target_is_too_fast_and_too_far(name, method):
+@pytest.mark.parametrize("method", ["cv", "aad"])
+def test_joints_do_not_chatter_where_the_target_is_too_fast_and_too_far(method):
     """A slow eight out of a nearly stretched arm, without acceleration limits: limits and lost directions take turns."""
-    robot, dt = ik.Robot.load(name), 0.01
-    tracker = Tracker(robot, method, q0=robot.home)
-    start = robot.fk(robot.home).homogeneous
-    rates = []
+    robot, dt = ik.Robot.load("xarm7"), 0.01
+    tracker, Q = ik.Tracker(robot, method, q0=robot.home), [robot.home]
+    start = robot.fk(robot.home).translation
     for t in dt * np.arange(1, 601):
-        phase, size = 2.0 * np.pi * 0.3 * t, 0.08 * min(t, 1.0)
-        target = start.copy()
-        target[:3, 3] += (0.0, size * np.sin(phase), 0.5 * size * np.sin(2.0 * phase))
-        if name == "xarm7":
-            target[:3, 3] += (0.35 * np.sin(0.5 * phase) * min(t, 1.0), 0.0, 0.0)
-        rates.append(tracker.update(target, dt).rate)
-    share = np.array(rates) / robot.velocity_limits
-    for joint in share.T:
-        sign = np.sign(joint) * (np.abs(joint) > 0.05)
-        flips = [
-            np.count_nonzero(np.diff(part[part != 0])) for part in np.lib.stride_tricks.sliding_window_view(sign, 10)
-        ]
-        assert max(flips) <= 3, max(flips)
+        phase, grown = 2.0 * np.pi * 0.3 * t, min(t, 1.0)
+        way = grown * np.array([0.35 * np.sin(0.5 * phase), 0.08 * np.sin(phase), 0.04 * np.sin(2.0 * phase)])
+        Q.append(tracker.update(pin.SE3(robot.fk(robot.home).rotation, start + way), dt).q)
+    assert most_turns(np.array(Q), robot.velocity_limits) <= 3
 
 
 def test_a_measured_arm_is_followed_from_where_it_is(panda):
     """A constant difference between joints and commands is taken out; too large a one restarts the tracker."""
     goal = panda.fk(Q0).homogeneous
-    tracker, sag = Tracker(panda, "cv", q0=Q0), np.array([0.02, -0.02, 0.01, 0.03, -0.01, 0.02, 0.01])
+    tracker, sag = ik.Tracker(panda, "cv", q0=Q0), np.array([0.02, -0.02, 0.01, 0.03, -0.01, 0.02, 0.01])
     joints = [Q0 + sag] * 3
     for _ in range(200):
         step = tracker.update(goal, 0.01, q=joints[-3])
@@ -206,27 +139,10 @@ def test_a_measured_arm_is_followed_from_where_it_is(panda):
         tracker.update(goal, 0.01, q=np.zeros(3))
 
 
-@pytest.mark.parametrize("method", ["cv", "ca"])
-@pytest.mark.parametrize("delay", [0, 2, 4])
-def test_joints_measured_late_do_not_swing(panda, method, delay):
-    """The joints follow commands some samples late, and are measured as they stand; the tracker assumes two samples."""
-    tracker, dt = Tracker(panda, method, q0=Q0), 0.01
-    commands, start = [Q0] * (delay + 1), panda.fk(Q0).homogeneous
-    errors = []
-    for t in dt * np.arange(1, 501):
-        target = start.copy()
-        target[1, 3] += 0.06 * np.sin(2.0 * t) * min(t, 1.0)
-        errors.append(np.linalg.norm(panda.fk(commands[-1 - delay]).translation - target[:3, 3]))
-        commands.append(tracker.update(target, dt, q=commands[-1 - delay]).q)
-    late = np.array(errors[30:])
-    speed = 0.06 * (2.0 + 1.0)  # at most, while the motion grows
-    assert late.max() <= 1.2 * speed * dt * (max(delay, 2) + 1) and late[-150:].max() <= 1.05 * late[-300:-150].max()
-
-
 def test_a_joint_outside_its_limits_comes_back(panda):
     q = Q0.copy()
     q[3] = 0.1  # upper limit -0.07
-    tracker = Tracker(panda, "cv", q0=q, reconfigure=False)  # another posture reaches the goal, too
+    tracker = ik.Tracker(panda, "cv", q0=q, reconfigure=False)  # another posture reaches the goal, too
     goal = panda.fk(q).homogeneous
     places = [q[3]]
     for _ in range(200):
@@ -239,7 +155,7 @@ def test_a_joint_outside_its_limits_comes_back(panda):
 
 
 def test_a_joint_locked_on_the_way_stays(panda):
-    tracker = Tracker(panda, "cv", q0=Q0, acceleration_limits=10.0)
+    tracker = ik.Tracker(panda, "cv", q0=Q0, acceleration_limits=10.0)
     ref = panda_reference(panda, False, 3.0)
     for k in range(100):
         step = tracker.update(ref.target(0.01 * (k + 1)), 0.01)
@@ -251,15 +167,12 @@ def test_a_joint_locked_on_the_way_stays(panda):
         seen.append(step.q[3])
         assert abs(step.rate[3]) <= max(abs(before) - 0.1 * (k - 99), 0.0) + 1e-12
     assert np.ptp(seen[50:]) == 0.0 and step.position_error < 1e-4  # six joints are enough for a position
-    for wrong in ({"speed": -1.0}, {"upper": {"elbow": 1.0}}, {"lower": 9.0}, {"acceleration": "high"}):
-        with pytest.raises(InvalidOption):
-            tracker.change_limits(**wrong)
 
 
 @pytest.mark.parametrize("method", ["cv", "aad"])
 def test_the_other_joints_do_what_a_locked_one_would(panda, method):
     """With joint 2 locked they still reach every pose of this path, close to a singular pose of theirs but not of the arm's."""
-    tracker = Tracker(panda, method, q0=Q0)
+    tracker = ik.Tracker(panda, method, q0=Q0)
     tracker.change_limits(speed={"panda_joint2": 0.0})
     target, errors = panda.fk(Q0).homogeneous, []
     start = target[:3, 3].copy()
@@ -273,7 +186,7 @@ def test_the_other_joints_do_what_a_locked_one_would(panda, method):
 def test_a_long_step_is_taken_in_parts(panda):
     """After steps of 1 ms one of 50 ms: limits hold, and the tip gets as far as fifty short ones bring it."""
     ref = panda_reference(panda, True, 3.0)
-    tracker = Tracker(panda, "aad", q0=Q0, acceleration_limits=10.0)
+    tracker = ik.Tracker(panda, "aad", q0=Q0, acceleration_limits=10.0)
     for k in range(20):
         tracker.update(ref.target(0.001 * (k + 1)), 0.001)
     before = tracker.q
@@ -287,7 +200,7 @@ def test_joints_keep_off_their_limits_in_the_null_space(panda):
     q = Q0.copy()
     q[0] = panda.upper[0] - 0.1
     goal = panda.fk(q).homogeneous
-    stay, go = (Tracker(panda, "cv", q0=q, avoid_limits=avoid) for avoid in (False, True))
+    stay, go = (ik.Tracker(panda, "cv", q0=q, avoid_limits=avoid) for avoid in (False, True))
     errors = []
     for _ in range(200):
         step = go.update(goal, 0.01)
@@ -299,19 +212,18 @@ def test_joints_keep_off_their_limits_in_the_null_space(panda):
 
 
 def test_wishes_beside_the_task(panda):
-    goal = panda.fk(Q0).homogeneous
-    wanted = Q0 + 0.2
+    goal, wanted = panda.fk(Q0).homogeneous, Q0 + 0.2
     for option in ({"posture": wanted}, {"cost": lambda q: 0.5 * float((q - wanted) @ (q - wanted))}):
-        tracker = Tracker(panda, "cv", q0=Q0, avoid_limits=False, **option)
+        tracker = ik.Tracker(panda, "cv", q0=Q0, avoid_limits=False, **option)
         for _ in range(300):
             step = tracker.update(goal, 0.01)
             assert step.position_error < 1e-6
         J = panda.jacobian(tracker.q)
-        rest = (np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - tracker.q)
-        assert np.linalg.norm(rest) < 0.05 * np.linalg.norm((np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - Q0))
+        null = np.eye(7) - np.linalg.pinv(J) @ J
+        assert np.linalg.norm(null @ (wanted - tracker.q)) < 0.05 * np.linalg.norm(null @ (wanted - Q0))
     # Q0 is symmetric: no motion beside the task raises it there
     aside = Q0 + np.array([0.0, 0.0, 0.3, 0.0, 0.2, 0.0, 0.0])
-    low = Tracker(panda, "cv", q0=aside, avoid_limits=False, manipulability=1.0)
+    low = ik.Tracker(panda, "cv", q0=aside, avoid_limits=False, manipulability=1.0)
     for _ in range(100):
         assert low.update(panda.fk(aside).homogeneous, 0.01).position_error < 1e-6
 
@@ -319,9 +231,6 @@ def test_wishes_beside_the_task(panda):
         return np.prod(np.linalg.svd(panda.jacobian(q), compute_uv=False))
 
     assert volume(low.q) > volume(aside) + 1e-4  # rounding is 1e-16
-    for wrong in ({"posture": np.zeros(3)}, {"elbow": {"elbow": 1}}, {"elbow": 1}, {"cost": 3}, {"avoid_limits": -1.0}):
-        with pytest.raises((InvalidOption, InvalidConfiguration)):
-            Tracker(panda, **wrong)
 
 
 FORMS = {
@@ -340,7 +249,7 @@ def test_what_counts(panda, form):
     goal[:3, 3] += (0.05, 0.03, -0.04)
     goal[:3, :3] = pin.exp3(np.array([0.1, 0.2, -0.1])) @ goal[:3, :3]
     target = {"position": goal[:3, 3], "axis": ik.pose(goal[:3, 3], direction=(0, 0, -1))}.get(form, goal)
-    tracker = Tracker(panda, "cv", q0=Q0, **FORMS[form])
+    tracker = ik.Tracker(panda, "cv", q0=Q0, **FORMS[form])
     for _ in range(80):
         step = tracker.update(target, 0.01)
     assert step.position_error < 1e-5 and (step.orientation_error or 0.0) < 1e-5
@@ -356,7 +265,7 @@ def test_a_target_that_moves_and_turns_is_followed_in_what_counts(panda, frame):
     """Where the rest of the error has grown large, the target's motion does not count as the tip's would."""
     worst = []
     for counts in ({}, {"mask": MASKS[frame], "frame": frame}):
-        tracker, errors = Tracker(panda, "cv", q0=Q0, **counts), []
+        tracker, errors = ik.Tracker(panda, "cv", q0=Q0, **counts), []
         for k in range(300):
             way = 1.0 - np.cos(0.015 * (k + 1))
             step = tracker.update(panda.fk(Q0 + way * np.array([0.3, 0.2, -0.3, 0.3, 0.3, 0.3, 0.4])), 0.01)
@@ -367,28 +276,24 @@ def test_a_target_that_moves_and_turns_is_followed_in_what_counts(panda, frame):
 
 def test_several_tips():
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    left, right = (tree.fk(tree.home)[tip].homogeneous for tip in tree.tips)
-    refs = {}
-    for tip, T in zip(tree.tips, (left, right), strict=True):
-        end = T.copy()
-        end[:3, 3] += (0.0, 0.0, -0.05)
-        refs[tip] = ik.line(T, end, duration=2.0, law="minimum-jerk")
-    run = track(tree, refs, "cv")
+    start, down = tree.fk(tree.home), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.05]))
+    refs = {tip: ik.line(T, down * T, duration=2.0, law="minimum-jerk") for tip, T in start.items()}
+    run = ik.track(tree, refs, "cv")
     assert run.success and run.xyz.shape == (201, 2, 3)
     at = tree.fk(run.q[-1])
     for tip in tree.tips:
         assert np.abs(at[tip].homogeneous - refs[tip].target(2.0)).max() < 1e-4
-    between = np.linalg.inv(left) @ right
-    tracker = Tracker(tree, "cv", relative_to={"right_tip": "left_tip"})
+    between = start["left_tip"].actInv(start["right_tip"]).homogeneous
+    tracker = ik.Tracker(tree, "cv", relative_to={"right_tip": "left_tip"})
     for k in range(100):
         step = tracker.update({"left_tip": refs["left_tip"].target(0.02 * (k + 1)), "right_tip": between}, 0.02)
     at = tree.fk(step.q)
-    held = np.linalg.inv(at["left_tip"].homogeneous) @ at["right_tip"].homogeneous
+    held = at["left_tip"].actInv(at["right_tip"]).homogeneous
     assert np.abs(held - between).max() < 1e-3 and step.status is StepStatus.OK
     assert not (viability.BIT.held & step._outcome.code).any()
 
 
 def test_a_slowed_run_ends_without_a_jump(panda):
     """The clock reaches the end in whole steps: a short last one used to be taken at the previous speed."""
-    run = track(panda, panda_reference(panda, True, 1.0), q0=Q0, acceleration_limits=10.0)
+    run = ik.track(panda, panda_reference(panda, True, 1.0), q0=Q0, acceleration_limits=10.0)
     assert run.status.name == "SLOWED" and run.clock[-1] == 1.0 and run.position_error[-20:].max() < 1e-6

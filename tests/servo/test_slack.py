@@ -2,26 +2,15 @@
 
 import numpy as np
 import pytest
-from references import Q0
+from references import Q0, most_turns
 from robots import have_data
 
 import ik_toolkit as ik
-from ik_toolkit.servo.tracker import Tracker
-
-
-def turns_back(Q, speed, h=0.01):
-    """Most changes of sign of a joint's speed in 100 ms at Q (N, n), as far as it is above 5 % of its limit (n,)."""
-    rates, most = np.diff(Q, axis=0) / h, 0
-    for v, fast in zip(rates.T, speed, strict=True):
-        places = np.flatnonzero(np.abs(v) > 0.05 * fast)
-        flips = places[1:][np.diff(np.sign(v[places])) != 0.0]
-        most = max([most, *(int(np.sum((flips >= k) & (flips < k + 10))) for k in flips)])
-    return most
 
 
 def out_and_back(robot, q0, method, **options):
     """Joints (N, n), and position errors, of a tracker whose target goes to twice its distance from the base and returns."""
-    tracker = Tracker(robot, method, q0=q0, slack=[0.03, 0.03, 0.03, 0.1, 0.1, 0.1], **options)
+    tracker = ik.Tracker(robot, method, q0=q0, slack=[0.03, 0.03, 0.03, 0.1, 0.1, 0.1], **options)
     start, Q, errors = robot.fk(q0).homogeneous, [q0], []
     for k in range(300):
         target = start.copy()
@@ -37,7 +26,7 @@ def out_and_back(robot, q0, method, **options):
 def test_joints_do_not_chatter_beyond_reach(panda, method, mode):
     """All joints turned back at full speed from sample to sample, and the tip stayed 0.3 m further away than it has to."""
     Q, errors = out_and_back(panda, Q0, method, on_limit=mode)
-    assert turns_back(Q, panda.velocity_limits) <= 3
+    assert most_turns(Q, panda.velocity_limits) <= 3
     assert max(errors) < 0.7 and errors[-1] < 1e-9
 
 
@@ -45,7 +34,7 @@ def test_another_redundant_arm_turns_back_seldom_beyond_reach():
     """At its elbow, too, half-planes that no motion could keep were taken for a problem of the least slack: 278 turns, now 11."""
     robot = ik.Robot.load("xarm7")
     Q, errors = out_and_back(robot, np.clip(robot.home + 0.15, robot.lower + 0.3, robot.upper), "aad")
-    assert turns_back(Q, robot.velocity_limits) <= 3
+    assert most_turns(Q, robot.velocity_limits) <= 3
     rates = np.diff(Q, axis=0) / 0.01 / robot.velocity_limits
     back = rates[1:] * rates[:-1] < 0.0
     assert (back & (np.minimum(np.abs(rates[1:]), np.abs(rates[:-1])) > 0.05)).sum() < 40
@@ -63,13 +52,13 @@ def test_joints_do_not_chatter_along_the_border(slack):
     pace = rng.uniform(1.0, 2.5, tree.n)
     way = 0.3 * tree.velocity_limits / pace * rng.choice([-1, 1], tree.n)
     way = np.clip(way, 0.45 * (low - q0), 0.45 * (high - q0))
-    tracker, Q, most = Tracker(tree, "cv", q0=q0, slack=slack), [q0], 0.0
+    tracker, Q, most = ik.Tracker(tree, "cv", q0=q0, slack=slack), [q0], 0.0
     for k in range(300):
         poses = tree.fk(q0 + way * (1.0 - np.cos(0.01 * (k + 1) * pace)))
         step = tracker.update(poses, 0.01)
         Q.append(step.q)
         most = max(most, step.position_error, step.orientation_error)
-    assert turns_back(np.array(Q), tree.velocity_limits) <= 3 and most < 5e-3
+    assert most_turns(np.array(Q), tree.velocity_limits) <= 3 and most < 5e-3
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof"])
@@ -78,6 +67,6 @@ def test_the_slack_of_rotations_is_along_its_axes_where_a_turn_is_free(name, see
     """It was kept along axes mirrored for the free turn: targets within reach ended up to 0.05 rad outside their slack."""
     robot, rng = ik.Robot.load(name), np.random.default_rng(seed)
     q, target = robot.random_q(rng), robot.fk(robot.random_q(rng)).homogeneous
-    tracker = Tracker(robot, q0=q, free_turn=rng.normal(size=3), slack=(0, 0, 0, 0.1, 0, 0.3), frame="tip")
+    tracker = ik.Tracker(robot, q0=q, free_turn=rng.normal(size=3), slack=(0, 0, 0, 0.1, 0, 0.3), frame="tip")
     steps = [tracker.update(target, 0.02) for _ in range(500)]
     assert max(step.orientation_error for step in steps[-100:]) < 1e-4 and steps[-1].status is ik.StepStatus.OK

@@ -30,6 +30,6 @@ def test_what_may_be_asked_of_a_tracker():
         with pytest.raises(InvalidOption, match=message):
             ik.Tracker(robot, q0=q, avoid_collisions=asked)
     model.add_sphere(0.2, robot.fk(q), "knot")
-    with pytest.raises(InvalidConfiguration, match="'link_2' touches 'knot'"):
+    with pytest.raises(InvalidConfiguration, match="at q0 'link_2' touches 'knot'; start where nothing touches"):
         ik.Tracker(robot, q0=q, avoid_collisions=model)
     ik.Tracker(robot, q0=-q, avoid_collisions=True)

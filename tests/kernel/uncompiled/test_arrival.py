@@ -33,7 +33,7 @@ def arrived(samples, T, slot=1, how=GIVEN.doubtful, posed=-1, first=0, moved=0, 
     return arrive(samples.block, given.block, stand, slot, how, posed, first, moved, V is not None, A is not None, dt)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-3, 2.5, 3.1])
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 0.9e-4, 1.1e-4, 1e-3, 2.5, 3.1])
 def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
     pin.seed(3)
     rng, samples = np.random.default_rng(3), workspace.new_samples(2, 2)

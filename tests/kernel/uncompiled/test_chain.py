@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import random_arms as arms
 
-from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import segments, without_limits, without_wrap
 from ik_toolkit.kernel.records import POINTS, Ends
 from ik_toolkit.kernel.starts import DISTANCE, SEEDS
@@ -53,7 +52,7 @@ def test_what_may_wrap():
     rng = np.random.default_rng(3)
     rows, n, _ = arms.table(rng, "ttstmt")
     wide = np.array([9.0, 2 * math.pi, 9.0, 6.0, np.inf])
-    chain = chains.pack(rows, arms.numbers(np.eye(4)), arms.numbers(np.eye(4)), -0.5 * wide, 0.5 * wide, np.zeros(n))
+    chain = arms.packed(rows, np.eye(4), np.eye(4), -0.5 * wide, 0.5 * wide)
     # a leader of another joint, a slide, less than a turn: not
     np.testing.assert_array_equal(chain.turns, [0, 1, 0, 0, 1])
     box = Ends(chain.ends, n)
@@ -64,17 +63,13 @@ def test_what_may_wrap():
     assert [kept.turns(i) for i in range(n)] == [0, 0, 0, 0, 2] and box.turns(1) == 1
     rows, n, _ = arms.table(rng, "ttt")
     rows[1, 4] = -1.0
-    chain = chains.pack(
-        rows, arms.numbers(np.eye(4)), arms.numbers(np.eye(4)), np.full(n, -4.0), np.full(n, 4.0), np.ones(n)
-    )
+    chain = arms.packed(rows, np.eye(4), np.eye(4), np.full(n, -4.0), np.full(n, 4.0), np.ones(n))
     np.testing.assert_array_equal(chain.turns, [1, 0, 1])
     assert chain.seeds.shape == (SEEDS, n) and np.all(np.abs(chain.seeds) <= 4.0) and np.abs(chain.seeds).max() > 3.9
     assert Ends(chain.ends, n).home(1) == 1.0
     nothing = rows.copy()
     nothing[:, [2, 3, 7]] = 0.0
-    chain = chains.pack(
-        nothing, arms.numbers(np.eye(4)), arms.numbers(np.eye(4)), np.full(n, -4.0), np.full(n, 4.0), np.ones(n)
-    )
+    chain = arms.packed(nothing, np.eye(4), np.eye(4), np.full(n, -4.0), np.full(n, 4.0), np.ones(n))
     assert chain.reach == chain.scale == 1.0
 
 

@@ -4,19 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from constrained import law
 
 from ik_toolkit.servo import damped_descent
 from ik_toolkit.servo.constrained_step import MODE
 from ik_toolkit.servo.damped_descent import adapt, notice, stop_in_time, stuck
-from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import BIT, approach
-from ik_toolkit.servo.workspace import STATE
+from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
 
 H = 0.01
 
 
-def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "kappa": 40.0, "kp": 60.0, "kd": 3.0, **values})
+def fed_back(**values):
+    return law(**{"kappa": 40.0, "kp": 60.0, "kd": 3.0, **values})
 
 
 def new_state(**values):
@@ -26,20 +26,10 @@ def new_state(**values):
     return state
 
 
-def noticed(state, before, x, error=1.0, code=(0, 0), swings=((0.0, 0.0), (1.0, 1.0)), how=None):
+def noticed(state, before, x, code=(0, 0), swings=((0.0, 0.0), (1.0, 1.0))):
     """State after a step of two joints."""
-    sizes = np.array([1.0, 2.0])
-    notice(
-        how or law(),
-        np.array(before),
-        np.array(x),
-        sizes,
-        np.array(swings),
-        np.array(code, np.uint8),
-        error**2,
-        H,
-        state,
-    )
+    joints = (np.array(one) for one in (before, x, (1.0, 2.0), swings))
+    notice(fed_back(), *joints, np.array(code, np.uint8), 1.0, H, state)
     return state
 
 
@@ -60,29 +50,33 @@ def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
     at_limit, s = (BIT.position, 0), standing()
     state = new_state()
     for k in range(11):
-        assert not stuck(law(), s, LIMITS, FIRST, 1.0, H, state), k
+        assert not stuck(fed_back(), s, LIMITS, FIRST, 1.0, H, state), k
         noticed(state, [1.0, 0.0], [1.0, 0.0], code=at_limit)
-    assert stuck(law(), s, LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == damped_descent.DESCENT.first
-    assert stuck(law(), s, LIMITS, FIRST, 0.25, H, state), "until the target moves, or is reached"
-    assert not stuck(law(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == 0.0
+    assert stuck(fed_back(), s, LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == damped_descent.DESCENT.first
+    assert stuck(fed_back(), s, LIMITS, FIRST, 0.25, H, state), "until the target moves, or is reached"
+    assert (
+        not stuck(fed_back(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, FIRST, 1.0, H, state) and state[STATE.share] == 0.0
+    )
     assert state[STATE.stalled] == 0.0
     state = new_state(share=1.0)
     near = standing(e=(1e-5,) * 6, ahead=(1e-5,) * 6)
-    assert not stuck(law(), near, LIMITS, FIRST, 6e-10, H, state) and state[STATE.share] == 0.0
+    assert not stuck(fed_back(), near, LIMITS, FIRST, 6e-10, H, state) and state[STATE.share] == 0.0
     low = standing(e=(0.01,) * 6, ahead=(0.01,) * 6)
     low.weight *= 1e-3
-    assert stuck(law(), low, LIMITS, 1e-3 * FIRST, 6e-10, H, new_state(share=1.0)), "at a lower level, as at the first"
+    assert stuck(fed_back(), low, LIMITS, 1e-3 * FIRST, 6e-10, H, new_state(share=1.0)), (
+        "at a lower level, as at the first"
+    )
     state = new_state(share=1.0, nearest=0.1)
-    assert not stuck(law(), standing(ahead=(1.0 + 1e-7,) * 6), LIMITS, FIRST, 1.0, H, state), (
+    assert not stuck(fed_back(), standing(ahead=(1.0 + 1e-7,) * 6), LIMITS, FIRST, 1.0, H, state), (
         "it moves, whatever twist was given"
     )
     assert state[STATE.share] == state[STATE.nearest] == 0.0
     state = new_state(share=1.0, stalled=1.0, nearest=1.0)
-    assert not stuck(law(mode=MODE.clip), s, LIMITS, FIRST, 1.0, H, state), "something else gives way"
+    assert not stuck(fed_back(mode=MODE.clip), s, LIMITS, FIRST, 1.0, H, state), "something else gives way"
     assert state[STATE.share] == 0.0
     state = new_state(stalled=1.0, nearest=1.0)
-    assert not stuck(law(kappa=0.0), s, LIMITS, FIRST, 1.0, H, state), "nothing is fed back"
-    assert not stuck(law(), s, LIMITS, FIRST, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
+    assert not stuck(fed_back(kappa=0.0), s, LIMITS, FIRST, 1.0, H, state), "nothing is fed back"
+    assert not stuck(fed_back(), s, LIMITS, FIRST, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
     assert state[STATE.nearest] == pytest.approx(0.998)
 
 
@@ -95,7 +89,7 @@ def test_slow_joints_are_not_stuck_while_they_go_as_fast_as_they_may():
         limits[2] = 1.0, top
         state, ever = new_state(), False
         for k in range(40):
-            ever = stuck(law(), s, limits, FIRST, (error - 0.002 * H * k) ** 2, H, state) or ever
+            ever = stuck(fed_back(), s, limits, FIRST, (error - 0.002 * H * k) ** 2, H, state) or ever
             noticed(state, [0.0, 1.0], [0.0, 1.0], code=(BIT.position, BIT.velocity))
         assert ever == (share < damped_descent.DESCENT.pace), top
 
@@ -116,14 +110,14 @@ def test_what_hinders_joints():
 def test_joints_that_turn_back_twice_make_it_stuck():
     state = new_state(near=1.0, nearest=1.0)
     noticed(state, [1.0, 0.0], [-1.0, 0.0])
-    assert state[STATE.turned] == 1.0 and not stuck(law(), standing(), LIMITS, FIRST, 1.0, H, state)
+    assert state[STATE.turned] == 1.0 and not stuck(fed_back(), standing(), LIMITS, FIRST, 1.0, H, state)
     noticed(state, [-1.0, 2.0], [0.05, 2.0])
     assert state[STATE.turned] == pytest.approx(1.0 - H / damped_descent.DESCENT.forgotten), (
         "a twentieth of the motion goes back"
     )
     state[STATE.turned] = 1.0
     noticed(state, [-1.0, 2.0], [0.2, 2.0])
-    assert state[STATE.turned] == 2.0 and stuck(law(), standing(), LIMITS, FIRST, 1.0, H, state)
+    assert state[STATE.turned] == 2.0 and stuck(fed_back(), standing(), LIMITS, FIRST, 1.0, H, state)
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.0, 1.0)))
     assert state[STATE.turned] == 1.0, "a joint that swings"
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.1, 0.0)))
@@ -134,24 +128,12 @@ def test_joints_that_turn_back_twice_make_it_stuck():
     assert state[STATE.share] == damped_descent.DESCENT.turned
 
 
-def bench(rng, n, m=6):
-    s = SimpleNamespace(
-        J=rng.normal(size=(n, m)), free=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
-    )
-    for name in ("e", "ahead", "f", "a"):
-        setattr(s, name, rng.normal(size=m))
-    s.weight, s.ask = rng.uniform(0.5, 2.0, m), np.zeros(m)
-    for name in ("x", "v", "null"):
-        setattr(s, name, rng.normal(size=n))
-    s.floor, s.roof = np.full(n, -9.0), np.full(n, 9.0)
-    s.why_low, s.why_top = np.zeros((2, n), np.uint8)
-    return s
-
-
 @pytest.mark.parametrize("n", [5, 7])
 def test_joints_can_stop_at_the_end_of_their_way(n):
     rng = np.random.default_rng(n)
-    s, mu = bench(rng, n), 0.3
+    s, mu = bench_on(np.zeros(bench_space(n, 6, 1)), n, 6, 1), 0.3
+    s.J[:], s.e[:], s.weight[:] = rng.normal(size=(n, 6)), rng.normal(size=6), rng.uniform(0.5, 2.0, 6)
+    s.floor[:], s.roof[:] = -9.0, 9.0
     limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 9.0), np.full(n, 10.0)])
     limits[3, 1] = np.inf
     slope = s.J @ s.e

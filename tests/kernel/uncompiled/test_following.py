@@ -3,10 +3,9 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
-from ik_toolkit.servo import null_space_motion, target_stream
+from ik_toolkit.servo import null_space_motion
 from ik_toolkit.servo.workspace import STATE
 
 
@@ -121,14 +120,3 @@ def test_wishes_keep_half_of_the_room():
     out = np.array([-0.1, 0.0, 0.0])
     null_space_motion.scale_secondary(out, np.array([-1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
-
-
-def test_turns_of_a_reference():
-    rng = np.random.default_rng(7)
-    for size in (0.0, 1e-6, 0.9e-4, 1.1e-4, 0.3, 3.0):
-        r = rng.normal(size=3)
-        r *= size / np.linalg.norm(r)
-        T0, T1 = np.eye(4), np.eye(4)
-        T0[:3, :3] = pin.exp3(rng.normal(size=3))
-        T1[:3, :3] = pin.exp3(r) @ T0[:3, :3]
-        np.testing.assert_allclose(target_stream.turn_left(T0, T1), r, atol=1e-12)

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
+from constrained import law
 
 from ik_toolkit.servo import laws
 from ik_toolkit.servo.constrained_step import Allowed
-from ik_toolkit.servo.laws import LAW, Law
-
-
-def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
+from ik_toolkit.servo.laws import LAW
 
 
 def walls_of(planes, edges, rows):

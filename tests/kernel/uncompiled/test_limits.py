@@ -14,15 +14,8 @@ TAU = 2.0 * math.pi
 def ends_of(lower, upper, turns, unit=None, bounds=(1.0, 0.0, 1.0, 0.0, 0.0, 0.0), scale=1.0, tool=(0.0, 0.0, 0.0)):
     n = len(lower)
     points = [*np.eye(3).ravel(), 0, 0, 0, *np.eye(3).ravel(), *tool]
-    middle = [
-        *lower,
-        *upper,
-        *turns,
-        *(np.ones(n) if unit is None else unit),
-        *np.arange(n),
-        *np.arange(n) + 0.5,
-        *-np.ones(n),
-    ]
+    unit = np.ones(n) if unit is None else unit
+    middle = [*lower, *upper, *turns, *unit, *np.arange(n), *np.arange(n) + 0.5, *-np.ones(n)]
     return Ends(np.array([*points, *middle, scale, *bounds], float), n)
 
 

@@ -25,16 +25,10 @@ def test_starts_of_several_tips():
     ends, tasks, _, choosers = starts((KIND.pose, KIND.free))
     choosers[:] = [[0, 1, 0, -1], [1, 2, 2, 0]]
     seeds = np.arange(80.0).reshape(20, 4)
-    table = SimpleNamespace(
-        seeds=seeds, choice=np.array([[3, 4], [5, 6]]), best=np.array([1, 0]), state=np.array([7], np.uint64)
-    )
-    p = SimpleNamespace(
-        choosers=choosers,
-        tasks=tasks,
-        ends=ends,
-        desk=SimpleNamespace(start=np.full(4, -1.0), q=np.zeros(4)),
-        arrived=lambda f: False,
-    )
+    choice, state = np.array([[3, 4], [5, 6]]), np.array([7], np.uint64)
+    table = SimpleNamespace(seeds=seeds, choice=choice, best=np.array([1, 0]), state=state)
+    desk = SimpleNamespace(start=np.full(4, -1.0), q=np.zeros(4))
+    p = SimpleNamespace(choosers=choosers, tasks=tasks, ends=ends, desk=desk, arrived=lambda f: False)
     q = np.zeros(4)
     tree_starts.begin_each_tip(p, table, 0, q)
     np.testing.assert_array_equal(q, [seeds[5, 0], -1.0, seeds[5, 2], -1.0])

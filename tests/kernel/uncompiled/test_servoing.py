@@ -4,38 +4,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from constrained import law
 
 from ik_toolkit.servo import command, laws, loop, null_space_motion, viability
 from ik_toolkit.servo.constrained_step import MODE
-from ik_toolkit.servo.laws import LAW, Law
-from ik_toolkit.servo.workspace import STATE
-
-
-def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": MODE.leave, **values})
+from ik_toolkit.servo.laws import LAW
+from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
 
 
 def scratch(rng, n=7, m=6):
     """A bench with a Jacobian that is factored."""
-    s = SimpleNamespace(
-        J=rng.normal(size=(n, m)),
-        G=np.zeros((n, n)),
-        y=np.empty(n),
-        t=np.empty(m),
-        V=np.zeros((m, n)),
-        W=np.zeros((m, n)),
-        sv=np.zeros(m),
-        pull=np.zeros(m),
-        lost=np.zeros(m),
-        xk=np.zeros(m),
-        f=np.zeros(m),
-        a=np.zeros(m),
-        e=np.zeros(m),
-        bias=np.zeros(m),
-    )
-    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "w"):
-        setattr(s, name, np.zeros(n))
-    s.floor, s.roof = np.full(n, -1.0), np.full(n, 1.0)
+    s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
+    s.J[:], s.floor[:], s.roof[:] = rng.normal(size=(n, m)), -1.0, 1.0
     laws.factor(s.J, m, 0.0, s.G, s.y)
     return s
 
@@ -54,16 +34,14 @@ def test_wishes_are_found_and_added():
     for avoid in (0.0, 0.4):
         goal = wish[1] * (wish[0] - s.at) + wish[2]
         if avoid:
-            from ik_toolkit.servo.null_space_motion import away_from_limits
-
-            away_from_limits(s.at, limits, avoid, goal)
+            null_space_motion.away_from_limits(s.at, limits, avoid, goal)
         base = 0.1 * rng.normal(size=n)
         assert command.desired_null_velocity(law(avoid=avoid), s, limits, wish, base)
         want = null(s.J) @ goal
         room = np.where(want > 0, 0.5 * (1.0 - base), 0.5 * (base + 1.0))
         want *= min(1.0, (room / np.abs(want)).min())
         np.testing.assert_allclose(s.g, want, atol=1e-12)
-        s.null = null(s.J) @ rng.normal(size=n)
+        s.null[:] = null(s.J) @ rng.normal(size=n)
         for code, h, damped in (
             (LAW.cv, 0.01, 2.0),
             (LAW.av, 0.01, 2.0),
@@ -123,10 +101,10 @@ class Bent:
 def test_curvature_by_differences():
     rng = np.random.default_rng(2)
     task, s = Bent(rng), scratch(rng)
-    s.weight = np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+    s.weight[:] = 1.0, 1.0, 0.0, 1.0, 1.0, 1.0
     s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
     n = rng.normal(size=3)
-    s.flip = (n / np.linalg.norm(n))[None]
+    s.flip[:] = n / np.linalg.norm(n)
     null_space_motion.by_difference(task, s)
     want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
     want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
@@ -148,9 +126,8 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
     )
     for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | viability.BIT.position, 0.0, True)):
         s = scratch(np.random.default_rng(5))
-        s.size, swings, state = np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
-        s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
-        s.before, s.x, state[STATE.near] = np.ones(7), np.ones(7), near
+        swings, state = np.zeros((3, 7)), np.zeros(len(STATE))
+        s.size[:], s.before[:], s.x[:], state[STATE.near] = 0.8, 1.0, 1.0, near
         for _ in range(1 if hindered else 21):  # for 0.2 s after the last hindrance
             loop.record_oscillation(
                 law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state

@@ -5,33 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from constrained import law
 
 from ik_toolkit.servo import command, singular_directions, singular_step
-from ik_toolkit.servo.constrained_step import MODE
-from ik_toolkit.servo.laws import LAW, Law
+from ik_toolkit.servo.laws import LAW
 from ik_toolkit.servo.singular_step import WEAK
 from ik_toolkit.servo.viability import approach
 from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
 
 
-def speed(
-    sigma,
-    curve,
-    own=0.0,
-    left=0.0,
-    moved=0.0,
-    gain=5.0,
-    h=0.01,
-    a=np.inf,
-    near=0.0,
-    away=(0.0, 0.0),
-    top=1.0,
-    rest=0.0,
-    full=None,
-):
+def speed(sigma, curve, own=0.0, left=0.0, moved=0.0, a=np.inf, near=0.0, away=(0.0, 0.0), rest=0.0, full=None):
     """`mode_speed` for the direction (0.6, 0.8) of two joints: its speed where it is lost (None: it is not), edge, away."""
-    V = np.array([[0.6, 0.8]])
-    limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
+    V, gain, h = np.array([[0.6, 0.8]]), 5.0, 0.01
+    limits = np.array([[-9.0] * 2, [9.0] * 2, [1.0] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
     full = sigma if full is None else full
     s = SimpleNamespace(V=V, t=np.array(curve), lost=lost, xk=xk)
@@ -157,8 +143,6 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             s.e[:] -= 0.99 * (U[:, k - 1] @ s.e) * U[:, k - 1]
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
-        given = {"code": code, "gamma": 1.0, "mode": MODE.leave, "damping": 0.05, "kappa": 4.0}
-        law = Law(**{**dict.fromkeys(Law._fields, 0.0), **given})
         limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 2.0), np.full(n, np.inf)])
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
         state[STATE.near] = near
@@ -168,7 +152,9 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         own = SimpleNamespace(
             motion=np.array([np.zeros(n), rate]), memory=memory, away=away, basis=np.zeros((m, m)), state=state
         )
-        lost = command.by_law(law, None, task, None, None, s, settings, own, command.Moment(0, h))
+        lost = command.by_law(
+            law(code, damping=0.05, kappa=4.0), None, task, None, None, s, settings, own, command.Moment(0, h)
+        )
         want = U.T @ (f + 4.0 * e if code == LAW.cv else ahead / h)
         done = U.T @ (J.T @ s.x)
         if state[STATE.near] != 1.0 + WEAK.side:  # else the others are fed back less

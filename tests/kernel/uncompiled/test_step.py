@@ -4,16 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from constrained import law
 
 from ik_toolkit.servo import equality_qp, hierarchical_qp, loop
 from ik_toolkit.servo.constrained_step import CAUTION, MODE, make_room
-from ik_toolkit.servo.laws import LAW, Law
 from ik_toolkit.servo.viability import BIT
 from ik_toolkit.servo.workspace import STATE, bench_on, bench_space
-
-
-def law(code=LAW.cv, **values):
-    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": MODE.leave, **values})
 
 
 def bench(n, m, rows=3):

@@ -9,7 +9,6 @@ import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
 from ik_toolkit.compile.array_view import space
-from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import pack_tree
 from ik_toolkit.kernel.counted_error import AXES, KIND
 from ik_toolkit.kernel.records import WHAT, Ends
@@ -37,9 +36,7 @@ def pair(rng, left="tttstt", right="tttst"):
         slide = slides if f == 0 else np.append(slide, slides[2:])  # noqa: F821
     half = np.where(slide, 0.4, 1.5)
     for (rows, base, tip), place in zip(parts, places, strict=True):
-        chains_.append(
-            chains.pack(rows, arms.numbers(base), arms.numbers(tip), -half[place], half[place], np.zeros(len(place)))
-        )
+        chains_.append(arms.packed(rows, base, tip, -half[place], half[place]))
     tree = pack_tree(chains_, places, -half, half, 0.1 * half)
     return tree, [(*part, place) for part, place in zip(parts, places, strict=True)]
 
@@ -58,23 +55,16 @@ def test_a_tree_joins_its_chains():
             np.testing.assert_allclose(J[k, 6 * f : 6 * f + 6], want, atol=2e-9)
     ends = tree.ends
     np.testing.assert_array_equal(ends[:, -n - 1], [6, 5])
-    for f, (*_, place) in enumerate(parts):
+    for f, (rows, base, tip, place) in enumerate(parts):
         np.testing.assert_array_equal(np.flatnonzero(ends[f, -n:]), np.unique(place))
         box = Ends(ends[f], n)
         assert [box.upper(i) * box.unit(i) for i in range(n)] == pytest.approx(list(tree.upper))
         assert [box.home(i) * box.unit(i) for i in range(n)] == pytest.approx(list(0.1 * tree.upper))
-        single = chains.pack(
-            parts[f][0],
-            arms.numbers(parts[f][1]),
-            arms.numbers(parts[f][2]),
-            tree.lower[place],
-            tree.upper[place],
-            np.zeros(len(place)),
-        )
+        single = arms.packed(rows, base, tip, tree.lower[place], tree.upper[place])
         for k in range(6):
             assert box.bound(k) * box.scale() == pytest.approx(Ends(single.ends, single.n).bound(k) * single.scale)
         q = tree.seeds[7] * tree.unit
-        pose, frames = arms.fk(parts[f][0], np.eye(4), parts[f][2], q[place])
+        pose, frames = arms.fk(rows, np.eye(4), tip, q[place])
         point = pose[:3, 3] / tree.scale
         want = [*(-2.0 * point), *(-0.1 * frames[-1][:3, :3].ravel()), point @ point]
         np.testing.assert_allclose(tree.features[f][:, 7], want, atol=1e-5)

@@ -49,20 +49,9 @@ def test_solutions_are_carried_along_poses():
         poses = T.copy()
         if broken is not None:
             poses[broken, :3, 3] += 9.0
-        continuation.carry_along(
-            chain.rows,
-            chain.ends,
-            poses,
-            pack,
-            bounds,
-            np.full(n, most),
-            np.array(deviation),
-            goals[[3, 0]].copy(),
-            np.array([3, 0]),
-            np.array([1, 0]),
-            Q,
-            span,
-        )
+        starts = goals[[3, 0]].copy(), np.array([3, 0]), np.array([1, 0])
+        allowed = bounds, np.full(n, most), np.array(deviation)
+        continuation.carry_along(chain.rows, chain.ends, poses, pack, *allowed, *starts, Q, span)
         return Q, span
 
     Q, span = carried(0.5)
@@ -77,10 +66,8 @@ def test_solutions_are_carried_along_poses():
     finer, again = carried(0.04)[1], carried(0.5, (1e-4, 1e-4))  # smaller steps in between lead to the same
     assert finer.tolist() == [[0, N - 1], [0, N - 1]]
     np.testing.assert_allclose(again[0][:, 1], goals, atol=1e-6)
-    assert carried(0.5, (1e-12, 1.0))[1].tolist() == [[0, 0], [3, 3]] and carried(0.5, (1.0, 1e-12))[1].tolist() == [
-        [0, 0],
-        [3, 3],
-    ]
+    for deviation in ((1e-12, 1.0), (1.0, 1e-12)):
+        assert carried(0.5, deviation)[1].tolist() == [[0, 0], [3, 3]]
 
 
 def best_path(Q, span, state, most, endless, price, begin, toll, blocked, near=True):
