@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pinocchio as pin
 import pytest
-import robots
 from hostile import EVIL, arm
 from robots import have_data, load, sample
 from trees import mixed
@@ -90,20 +89,12 @@ def rows(T):
 def robot_of(name):
     if name == "mixed":
         return ik.Tree.load(mixed(), tips=["left_tip", "right_tip"])
-    if name == "mixed, from the left":  # the base moves against the world, and joints are passed upwards
+    if name == "from_left":  # the base moves against the world, and joints are passed upwards
         return ik.Robot.load(mixed(), tip="right_tip", base="left2_link")
-    if name in ("floating", "planar", "held"):  # one joint of the file, several of q or none
-        kind, more = ("floating", {}) if name == "held" else (name, {"base_limits": (-1.0, 1.0)})
-        around = [dict(kind="revolute", axis=axis, xyz="0.2 0.1 0.3") for axis in ("0 0 1", "0 1 0")]
-        text = robots.urdf(around[0], dict(kind=kind, axis="1 1 0", xyz="0.1 0 0.2", rpy="1 2 3"), around[1])
-        return ik.Robot.load(text, **more)
     return load(name)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["continuous_mix", "mimic_mix", "mixed", "mixed, from the left", "locked", "tool", "floating", "planar", "held"],
-)
+@pytest.mark.parametrize("name", "continuous_mix mimic_mix mixed from_left locked tool floating planar held".split())
 def test_kinematics_are_pinocchios(hydrolek, tmp_path, name):
     robot = robot_of(name)
     rng = np.random.default_rng(5)
