@@ -205,6 +205,8 @@ def why_unread(error: Exception) -> str:
     """Return in one line why a file cannot be read."""
     if isinstance(error, UnicodeDecodeError):
         return f"it is not UTF-8 text (byte {error.start}); save it as UTF-8"
+    if isinstance(error, KeyError):
+        return f"it lacks {error}"
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split())[:200] or type(error).__name__
 

@@ -145,6 +145,16 @@ def load(name):
         return ik.Robot.load(MADE[name])
     if name == "two_arms":
         return ik.Tree.load("brokk_hydrolek")
+    if name in ("floating", "planar", "held"):  # one joint of the file is several of q, or none
+        kind, limits = ("floating", None) if name == "held" else (name, (-1.0, 1.0))
+        free = dict(kind=kind, axis="1 1 0", xyz="0.1 0 0.2", rpy="1 2 3")
+        text = urdf(
+            dict(kind="revolute"),
+            free,
+            dict(kind="revolute", axis="0 1 0", xyz=".1 0 .2"),
+            dict(kind="fixed", xyz=".3 .1 0"),
+        )
+        return ik.Robot.load(text, base_limits=limits)
     if name == "locked":
         return ik.Robot.load("inspection_7dof", locked={"lift": 0.25})
     if name == "tool":

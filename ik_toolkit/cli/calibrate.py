@@ -38,10 +38,14 @@ class CalibrateOptions:
         "A:B:M", "Known distance [m] of sockets A and B; may be repeated.", needs=["--data"]
     )
     noise: str | None = option(
-        "M [RAD]", "Noise of a measurement [m], of poses also [rad]; default: estimated.", needs=["--data"]
+        "M [RAD]",
+        "Noise of a measurement [m], of poses also [rad; degrees with --deg]; default: estimated.",
+        needs=["--data"],
     )
     prior: str | None = option(
-        "M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.", needs=["--data"]
+        "M RAD",
+        "How far links and joints may be off [m, rad; degrees with --deg]; default 0.01 m, 0.035 rad.",
+        needs=["--data"],
     )
     suggest: int | None = option(
         "N",
@@ -88,8 +92,8 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     known: dict[str, Any] = {
         "places": [vector(text, "--place", 3) for text in asked.place or ()] or None,
         "distances": dict(map(_pair, asked.distance or ())) or None,
-        "noise": None if asked.noise is None else vector(asked.noise, "--noise"),
-        "prior": None if asked.prior is None else vector(asked.prior, "--prior"),
+        "noise": _length_and_angle(asked.noise, "--noise", robot.deg),
+        "prior": _length_and_angle(asked.prior, "--prior", robot.deg),
     }
     found = fit(arm, Q, measured, what, groups, **known)
     if asked.suggest is not None:
@@ -108,6 +112,14 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
         _show(found)
     if not found.credible:
         raise typer.Exit(1)
+
+
+def _length_and_angle(text: str | None, name: str, deg: bool) -> list[float] | None:
+    """Return a length [m] and, where one is given, an angle [rad] that `deg` says is typed in degrees; None without a text."""
+    if text is None:
+        return None
+    values = vector(text, name)
+    return [*values[:1], *(math.radians(x) if deg else x for x in values[1:])]
 
 
 def _pair(text: str) -> tuple[tuple[int, int], float]:

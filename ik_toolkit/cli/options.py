@@ -279,7 +279,14 @@ class ToleranceOptions:
 
     tolerance: float | None = option("TOL", "Position [m] and orientation [rad] tolerance; default 1e-6.")
     position_tolerance: float | None = option("M", "Position tolerance [m].")
-    orientation_tolerance: float | None = option("RAD", "Orientation tolerance [rad].")
+    orientation_tolerance: float | None = option("RAD", "Orientation tolerance [rad; degrees with --deg].")
+
+    def read(self, deg: bool) -> dict[str, Any]:
+        """Return the tolerances that were given, by name [m, rad]; deg: whether the one of angles alone is typed in degrees."""
+        read = given(self)
+        if deg and "orientation_tolerance" in read:
+            read["orientation_tolerance"] = math.radians(read["orientation_tolerance"])
+        return read
 
 
 @options("Files of poses")
@@ -330,12 +337,16 @@ class CollisionOptions:
     obstacle: list[str] | None = option(
         "KIND:...",
         "Obstacle to avoid, in the frame of the targets; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
-        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
+        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw [rad; degrees with --deg]. Implies "
+        "--avoid-collisions.",
     )
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
 
-    def read(self, arm: Any) -> dict[str, Any]:
-        """Return the argument avoid_collisions of a solver as a dict: True, or a CollisionModel with the obstacles; {} without."""
+    def read(self, arm: Any, deg: bool) -> dict[str, Any]:
+        """Return the argument avoid_collisions of a solver as a dict: True, or a CollisionModel with the obstacles; {} without.
+
+        deg: whether angles of obstacles are typed in degrees.
+        """
         if not self.obstacle and self.margin is None:
             return {"avoid_collisions": True} if self.avoid_collisions else {}
         from ..robot.geometry.collision import CollisionModel
@@ -354,6 +365,7 @@ class CollisionOptions:
             turned = len(values) == 6 + sizes and kind != "sphere"
             if len(values) != 3 + sizes and not turned:
                 raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")
-            place, size = pose(values[:3], rpy=values[-3:] if turned else None), values[3 : 3 + sizes]
+            angles = [math.radians(x) if deg else x for x in values[-3:]]
+            place, size = pose(values[:3], rpy=angles if turned else None), values[3 : 3 + sizes]
             getattr(model, f"add_{kind}")(*([size] if kind == "box" else size), place)
         return {"avoid_collisions": model}

@@ -132,8 +132,8 @@ def path(
 
     arm = robot.load(robot.choose_tips())
     targets = file.poses(asked.poses, arm, robot.deg, "poses")
-    options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
-    options |= collisions.read(arm) | given(random)
+    options = counts.read(robot.deg, counts.relative) | tolerances.read(robot.deg) | asked.read(arm, robot.deg)
+    options |= collisions.read(arm, robot.deg) | given(random)
     bounds = [_numbers(getattr(asked, name), f"--{name}", arm.n) for name in ("velocity", "acceleration")]
     result = made = None
     try:

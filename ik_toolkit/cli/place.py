@@ -9,7 +9,7 @@ import typer
 from ..errors import InvalidOption
 from ..text import length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options
-from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
+from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions
 from .output import fixed, notice, progress, run_or_part, show, table, write_json, write_rows
 from .pictures import chart
 
@@ -63,7 +63,7 @@ def place(
     turn = math.radians(1.0) if robot.deg else 1.0
     yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
     height = _one_or_two(asked.height, "--height")
-    more: Any = given(tolerances) | around.read(arm)
+    more: Any = tolerances.read(robot.deg) | around.read(arm, robot.deg)
     more |= {"seed": asked.seed, "ordered": asked.ordered, "count": asked.count}
     with progress("counting", None) as step:
         more |= {"yaw": yaw, "height": height, "progress": step}

@@ -75,7 +75,8 @@ def reach(
     unchanged = {
         name: value for name, value in given(asked).items() if name in ("resolution", "priority", "seed", "threads")
     }
-    more: dict[str, Any] = {**given(tolerances), **around.read(arm), **unchanged, "orientations": turns, "audit": audit}
+    more: dict[str, Any] = {**tolerances.read(robot.deg), **around.read(arm, robot.deg), **unchanged}
+    more |= {"orientations": turns, "audit": audit}
     stopped, lost = False, None
     with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
         try:

@@ -1,5 +1,6 @@
 """`ik solve`: joint values that bring the tip to a target."""
 
+import math
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from ..errors import InvalidOption
 from ..files import as_output
 from ..text import angle, duration, length, vector
 from . import first_use
-from .command import PLOTS, command, flag, option, options, same
+from .command import PLOTS, above_zero, command, flag, option, options, same
 from .completion import solvers_like
 from .options import (
     CollisionOptions,
@@ -101,7 +102,8 @@ class WishOptions:
     joint_weights: str | None = option("W1 W2 ...", "How freely each joint moves; 0 holds it.")
     closest: str | None = option("Q1 Q2 ...", "Return the solution nearest this configuration.")
     follow: float | None = option(
-        "RAD", "Single attempt that moves no joint further than this from --q0 (prismatic joints: times reach)."
+        "RAD",
+        "Single attempt that moves no joint further than this from --q0 [rad; degrees with --deg] (prismatic joints: times reach).",
     )
     objective: str | None = option(
         "NAME", "Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability."
@@ -119,7 +121,10 @@ class WishOptions:
 
     def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
         """Return the options by name, including q0, as `solve` takes them, or `solve_batch` if `many`. Raises InvalidOption."""
-        read = {name: value for name, value in given(self).items() if name in ("objective", "follow")}
+        read: dict[str, Any] = {} if self.objective is None else {"objective": self.objective}
+        if self.follow is not None:
+            move = above_zero(self.follow, "--follow")  # The library takes 0 for no bound.
+            read["follow"] = math.radians(move) if deg else move
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
             read["joint_weights"] = tuple(vector(self.joint_weights, "--joint-weights", arm.n))
@@ -210,8 +215,8 @@ def solve(
     arm = robot.load(tips)
     rule = method.choose(arm)
     aim = aim if target.from_q is None else target.reached(arm, deg)
-    options = method.tuned(rule) | given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
-    options |= counts.read(deg, target.relative) | collisions.read(arm)
+    options = method.tuned(rule) | tolerances.read(deg) | method.read() | wish.read(arm, deg, many.file is not None)
+    options |= counts.read(deg, target.relative) | collisions.read(arm, deg)
     start = options.pop("q0")
     if many.file is not None:
         from .batch import solve_file

@@ -12,7 +12,7 @@ from ..errors import InvalidOption
 from ..text import angle, duration, equations, figure, length
 from .command import above_zero, command, flag, option, options
 from .gains import along_the_path, judged
-from .options import CollisionOptions, RobotOptions, SceneOutput, joint_vector, parameters
+from .options import CollisionOptions, RobotOptions, SceneOutput, ToleranceOptions, joint_vector, parameters
 from .output import keep_partial, notice, progress, show, table, turns, unit, write_json
 from .pictures import chart, show_scene
 from .streams import uninterrupted
@@ -38,12 +38,13 @@ class TrackCollisions(CollisionOptions):
 
 
 @options("Tolerances")
-class TrackTolerances:
+class TrackTolerances(ToleranceOptions):
     """Options for the tolerances within which a run counts as followed."""
 
+    tolerance: None = None
     position_tolerance: float = option("M", "Position tolerance of a followed run [m].", default=1e-3)
     orientation_tolerance: float | None = option(
-        "RAD", "Orientation tolerance of a followed run; default: 0.1 degrees."
+        "RAD", "Orientation tolerance of a followed run [rad; degrees with --deg]; default: 0.1 degrees."
     )
 
 
@@ -81,14 +82,15 @@ def track(
     own = {name for record in (asked, counts, collisions, tolerances, robot, out) for name in vars(record)}
 
     def run(path: Asked, quiet: bool = False, **more: Any) -> Any:
-        return _run(arm, asked, path, own, vars(tolerances) | what | collisions.read(arm) | more, quiet)
+        given = tolerances.read(robot.deg) | what | collisions.read(arm, robot.deg)
+        return _run(arm, asked, path, own, given | more, quiet)
 
     path, result = _follow(arm, asked, q, what, tolerances.position_tolerance, run)
     if asked.output is not None:
         with uninterrupted():
             notice(f"wrote {result.save(asked.output)}")
     chart(asked.plot, result, arm)
-    around = collisions.read(arm).get("avoid_collisions")
+    around = collisions.read(arm, robot.deg).get("avoid_collisions")
     show_scene(arm, result, out.html, out.live, obstacles=None if isinstance(around, bool | None) else around)
     stopped, tried = None, []
     try:
@@ -145,8 +147,7 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
     fixed = {name: getattr(asked, name) for name in ("method", "limits", "settle", "on_limit", "max_stretch")} | more
     fixed |= {"reference": path.reference, "q0": path.q0}
     fixed |= {"dt": 1.0 / asked.rate, "acceleration_limits": asked.acceleration}
-    if fixed["orientation_tolerance"] is None:
-        fixed["orientation_tolerance"] = ORIENTATION_TOLERANCE
+    fixed.setdefault("orientation_tolerance", ORIENTATION_TOLERANCE)
     params = parameters(asked.param)
     if twice := params.keys() & (fixed.keys() | own):
         raise InvalidOption(

@@ -218,6 +218,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     path = Path(file)
     try:
         names, values, t = _joint_table(path)
+        _check_table(names, values, t)
     except InvalidConfiguration:
         raise
     except InvalidTarget as error:  # The message of `read_columns` names the file already.
@@ -236,6 +237,18 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         what = "'%s': %d of %d rows lack joint values and are left out"
         logging.getLogger("ik_toolkit").warning(what, path.name, int((~keep).sum()), len(Q))
     return None if t is None else t[keep], Q[keep]
+
+
+def _check_table(names: Any, values: np.ndarray, t: np.ndarray | None) -> None:
+    """Raise ValueError, saying what is wrong, unless every row has a value for each name and, if there are times, one of them."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError("its joint_names are not a list of names")
+    if not len(values):
+        raise ValueError("it has no rows")
+    if values.ndim != 2 or values.shape[1] != len(names):
+        raise ValueError(f"its rows do not have one value for each of the {len(names)} joint_names")
+    if t is not None and (t.shape != values.shape[:1] or not np.isfinite(t).all()):
+        raise ValueError("its rows do not have one finite time each")
 
 
 def _joint_table(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:

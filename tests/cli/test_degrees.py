@@ -1,6 +1,9 @@
 """Typed angles that look like degrees cause a warning, but only once."""
 
+import json
+
 import numpy as np
+import pytest
 import robots
 
 import ik_toolkit as ik
@@ -59,3 +62,26 @@ def test_the_answer_to_a_partial_target_is_not_doubted_as_if_typed(caplog):
     errors.DOUBTED.clear()
     assert ik.solve(robot, robot.fk([0.1, 0.5]), "lm", q0=[14.0, 0.5], mask=(1, 1, 1, 0, 0, 0)).success
     assert [record.getMessage()[:2] for record in caplog.records] == ["q0"]
+
+
+def test_angles_of_every_option_are_in_degrees(run):
+    near = "solve hydrolek_7w --json --q0 home --xyz 1.0 0.1 0.2".split()
+    turned = [*near, *"--rpy -1.6 0 -1.2".split()], [*near, *"--rpy -91.67324722 0 -68.75493542".split()]
+    for (plain, degrees), *words in (
+        ((near, near), "--follow {}"),
+        (turned, "--orientation-tolerance {}", "--position-tolerance 0.1"),
+        ((near, near), "--obstacle box:0.6,0.35,0.5,0.02,0.4,0.02,0,0,{}"),
+    ):
+        errors.DOUBTED.clear()
+        words = " ".join(words)
+        said, typed = json.loads(run(*plain, *words.format(np.radians(10.0)).split())[1]), words.format(10.0).split()
+        _, out, err = run(*degrees, *typed, "--deg")
+        told = json.loads(out)
+        for key in ("status", "orientation_error", "clearance", "q"):
+            assert told[key] == (pytest.approx(said[key], abs=1e-8) if key != "status" else said[key])
+        assert "degrees meant" not in err
+
+
+def test_a_move_of_zero_is_no_bound_and_refused(run):
+    code, _, err = run(*"solve hydrolek_7w --xyz 1.0 0.1 0.2 --q0 home --follow 0".split())
+    assert code == 2 and "--follow must be positive" in err

@@ -174,6 +174,15 @@ def test_what_is_fitted_to_a_mesh_is_the_mesh(tmp_path):
         assert told == any("mesh 'm' itself is read where a capsule is fitted to it" in note for note in robot.notes)
 
 
+def test_a_texture_named_in_the_defaults_leaves_the_colour():
+    robot = ik.Robot.load(
+        '<mujoco><default><material texture="t" rgba="0.2 0.4 0.6 1"><layer texture="t" role="normal"/></material></default><asset>'
+        '<texture name="t" type="2d" builtin="flat" width="2" height="2"/><material name="m"/></asset>'
+        '<worldbody><body name="a"><joint range="-90 90"/><geom size="0.1" material="m"/></body></worldbody></mujoco>'
+    )
+    assert 'rgba="0.2' in robot.urdf
+
+
 def test_settings_that_mujoco_has_given_up_are_no_mistake():
     text = '<mujoco><compiler exactmeshinertia="true" convexhull="false"/><worldbody><body name="a"><geom size="0.1"/>'
     assert ik.Robot.load(text + '<joint range="-90 90"/></body></worldbody></mujoco>').n == 1

@@ -266,6 +266,34 @@ def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):
     assert "'m.csv': 2 of 4 rows lack joint values and are left out" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("names", "points", "said"),
+    [
+        ("[]", "[]", "it has no rows"),
+        ('"joint_1"', "[{}]", "joint_names are not a list of names"),
+        ('["joint_1", "joint_2"]', '[{"positions": [0]}]', "one value for each of the 2 joint_names"),
+        ('["joint_1", "joint_2"]', '[{"positions": [[0, 1], [2, 3]]}]', "one value for each of the 2 joint_names"),
+        ('["joint_1"]', '[{"positions": [0], "time_from_start": {"sec": 0}}]', "it lacks 'nanosec'"),
+        (
+            '["joint_1"]',
+            '[{"positions": [0], "time_from_start": {"sec": 1e999, "nanosec": 0}}]',
+            "one finite time each",
+        ),
+    ],
+)
+def test_trajectories_whose_rows_do_not_fit_their_joints_are_refused(names, points, said, tmp_path):
+    timed = points.replace("{}", '{"positions": [0]}').replace("]}", '], "time_from_start": {"sec": 0, "nanosec": 0}}')
+    (tmp_path / "m.json").write_text(f'{{"joint_names": {names}, "points": {timed}}}')
+    with pytest.raises(InvalidConfiguration, match=rf"'m\.json': .*{said}"):
+        read_motion(robots.load("planar_2r"), tmp_path / "m.json")
+
+
+def test_motions_with_more_rows_than_times_are_refused(tmp_path):
+    np.savez(tmp_path / "m.npz", joint_names=["joint_1", "joint_2"], q=np.zeros((3, 2)), t=np.arange(2.0))
+    with pytest.raises(InvalidConfiguration, match="one finite time each"):
+        read_motion(robots.load("planar_2r"), tmp_path / "m.npz")
+
+
 def test_a_huge_header_is_not_taken_into_memory(tmp_path):
     """numpy takes the whole header of an array before it looks at its size: 50 kB of file would be 100 MB of memory."""
     file = tmp_path / "header.npz"

@@ -80,12 +80,12 @@ def rows(T):
 def robot_of(name):
     if name == "mixed":
         return ik.Tree.load(mixed(), tips=["left_tip", "right_tip"])
-    if name == "mixed, from the left":  # the base moves against the world, and joints are passed upwards
+    if name == "from_left":  # the base moves against the world, and joints are passed upwards
         return ik.Robot.load(mixed(), tip="right_tip", base="left2_link")
     return load(name)
 
 
-@pytest.mark.parametrize("name", ["continuous_mix", "mimic_mix", "mixed", "mixed, from the left", "locked", "tool"])
+@pytest.mark.parametrize("name", "continuous_mix mimic_mix mixed from_left locked tool floating planar held".split())
 def test_kinematics_are_pinocchios(hydrolek, tmp_path, name):
     robot = robot_of(name)
     rng = np.random.default_rng(5)

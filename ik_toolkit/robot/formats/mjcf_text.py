@@ -183,7 +183,8 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
                     f"mesh '{child.get('mesh')}' itself is read where a {child.get('type')} is fitted to it"
                 )
             child.set("type", "mesh")
-        if asset:
+        # A material also stands in <default>, where it can name a texture too.
+        if asset or child.tag == "material":
             _asset(child, flat, where)
         for attribute in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
             child.attrib.pop(attribute, None)
