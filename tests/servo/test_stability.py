@@ -200,6 +200,27 @@ def test_noise_gain_is_what_a_simulation_shows(method, delay):
     assert st.check_gains("av", h, delay=2, noise=1e-3).noise_gain == math.inf
 
 
+@pytest.mark.parametrize(
+    ("delay", "gain"), [(0, 0.3), (0, 0.9), (0, 1.1), (2, 0.2), (2, 0.5), (2, 0.7), (5, 0.1), (5, 0.4)]
+)
+def test_feedback_of_late_joints_rests_or_swings_as_its_gains_are_judged(delay, gain):
+    """A loop written here: cv by Adams-Bashforth 2, fed back where the joints were `delay` samples ago."""
+    h, robot = 0.01, ik.Robot.load("hydrolek_7w")
+    target = robot.fk(robot.home).translation
+    commands = [robot.home + 1e-3 * np.random.default_rng(3).standard_normal(robot.n)]
+    before = np.zeros(robot.n)
+    for k in range(400):
+        late = commands[max(k - delay, 0)]
+        move = gain * np.linalg.pinv(robot.jacobian(late)[:3]) @ (target - robot.fk(late).translation)
+        commands.append(commands[-1] + 1.5 * move - 0.5 * before)
+        before = move
+    move = np.abs(np.diff(commands, axis=0)).max(axis=1)
+    if st.check_gains("cv", h, delay=delay, kappa=gain / h).stable:
+        assert move[-50:].max() < 1e-7
+    else:
+        assert move[-50:].max() > 1e-4
+
+
 def test_growth_along_a_path_is_the_papers_lap():
     """The set of the RR arm that is inside the region at rest and yet diverges on its circle, as measured by disturbing a run."""
     robot = ik.Robot.load("planar_2r")
