@@ -220,7 +220,7 @@ class Tracker(CopiesViews, ReadOnly):
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
-            self.prepare(stream.kinds or (KIND.position,) * stream.tips)
+            self.prepare(stream.kinds or (KIND.pose,) * stream.tips)
         (observer := self._observer).send(before := self._q.copy())
         if q is not None:
             lag = observer.take(read_measured(self.robot, q), dt, self.resync, self._limits) / self.resync
