@@ -115,6 +115,11 @@ def test_steps_at_rest_and_outside(flat):
     out = np.array([0.3, flat.upper[1] + 0.05])
     step = ik.Tracker(flat, q0=out).update(flat.fk(Q).translation, 0.01)
     assert step.status == StepStatus.RECOVERING and step.reason.startswith("outside its limits, moving back: joint_2")
+    far, roundings = np.array([0.3, flat.upper[1] + 0.5]), (("cv", 1.0, 0.01), ("ca", 5.0, 0.002), ("aad", 2.0, 0.002))
+    for method, most, dt in roundings:  # here rounding leaves a joint only one rate in some step
+        tracker = ik.Tracker(flat, method, q0=far, acceleration_limits=most)
+        while (step := tracker.update(flat.fk(Q).translation, dt)).q[1] > flat.upper[1] + 1e-9:
+            assert step.status == StepStatus.RECOVERING
     fine = ik.Tracker(flat, q0=Q).update(flat.fk(Q).translation, 0.01)
     assert (
         fine.status == StepStatus.OK and fine.reason == "" and fine.orientation_error is None and fine.between is None
