@@ -216,7 +216,7 @@ class Tracker(CopiesViews, ReadOnly):
         InvalidOption for a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.
+        parts_of_step(dt, self._late or LATE * dt, self._longest > 0.0)  # This refuses a dt that is absurdly long.
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:

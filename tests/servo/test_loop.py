@@ -236,6 +236,9 @@ def test_a_step_in_another_unit_is_refused_before_anything_changes(panda):
         tracker.update(target, 1e6)
     np.testing.assert_array_equal(tracker.q, q)
     assert tracker.update(target, 60.0).status is StepStatus.OK  # a minute's pause is none
+    given = Tracker(panda, dt_max=1e-4)
+    with pytest.raises(InvalidOption, match=r"600,000 parts of at most 0.0001 s, which is dt_max. Was another unit"):
+        given.update(target, 60.0)
 
 
 def test_fast_rates_at_the_start_are_no_angles(caplog):
