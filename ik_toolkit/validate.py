@@ -40,13 +40,15 @@ def not_negative(value: Any, name: str) -> float:
     return found
 
 
-def parts_of_step(dt: float, longest: float) -> int:
+def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
     """Return in how many parts, none longer than `longest` [s], a step of dt [s] is taken.
+
+    given: whether the caller chose `longest` as dt_max, so that it does not follow from the first step.
 
     Raises InvalidOption if there are more than MOST_PARTS, because dt was then probably given in another unit.
     """
     if dt > MOST_PARTS * longest:
-        whole = f"{longest:g} s, {LATE:g} times the first one"
+        whole = f"{longest:g} s, {'which is dt_max' if given else f'{LATE:g} times the first one'}"
         raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
     return math.ceil(dt / longest)
 

@@ -16,7 +16,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.options import COUNTING, NAMES, OTHERWISE, Options, make_options
 from ..solvers.registry import find_row, list_rows
-from ..solvers.task import group_levels, kernel_tasks, relatives, what_counts
+from ..solvers.task import counted_rows, group_levels, kernel_tasks, relatives, what_counts
 from . import laws
 from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method, pack_law
@@ -149,12 +149,13 @@ class RuleSteps:
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return a flat array of the task's numbers for the compiled loop, and an array (4, m) whose first row weights the errors.
 
-        kinds: a target kind per tip. The weights are only for null-space motion. The other rows are neutral, as the solver's
-        iteration handles slack itself.
+        kinds: a target kind per tip. The weights are only for null-space motion, and are 0 where no position error, or no rotation
+        error, of a tip counts. The other rows are neutral, as the solver's iteration handles slack itself.
         """
         counts = np.ones((4, 6 * len(kinds)))
         counts[1:3] = 0.0
-        counts[0] = np.tile(even(self.robot, self.options), len(kinds))
+        counted = counted_rows(self.robot, kinds, self.options).reshape(-1, 2, 3).any(axis=2)
+        counts[0] = (np.repeat(counted, 3, axis=1) * even(self.robot, self.options)).ravel()
         return self.solver.plan.orders(kinds, True), counts
 
 

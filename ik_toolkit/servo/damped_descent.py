@@ -46,7 +46,7 @@ class DampedDescent(NamedTuple):
     idle: float = 0.01
     reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
     reversals: float = 2.0  # An arm is stuck after this many joint reversals.
-    forgotten: float = 0.1  # [s] time after which a reversal is forgotten
+    forgotten: float = 0.1  # [s] time after which a reversal is forgotten, counted while the error is the least so far
     first: float = 0.5  # initial value of the factor `share`
     least: float = 0.02  # least value of the factor `share`; with a lower value joints turn back repeatedly
     most: float = 16.0  # largest value of the factor `share`
@@ -143,7 +143,8 @@ def notice(law, before, x, size, swings, code, square, h, state):
         state[STATE.stalled] += h if hindered else 0.0
         if turned and (hindered or held):
             state[STATE.turned] += 1.0
-        else:
+        elif error <= state[STATE.nearest]:
+            # Elsewhere joints that swing slowly would be forgiven each reversal before the next, and never be stuck.
             state[STATE.turned] = max(state[STATE.turned] - h / DESCENT.forgotten, 0.0)
     else:
         adapt(turned, error, h, state)

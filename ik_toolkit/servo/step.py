@@ -100,8 +100,9 @@ class Step:
     """One step of a tracker.
 
     q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad] (None for
-    positions): distances left to this step's target, for several tips the largest. They are taken at `q`, or if joints are
-    measured, where the joints are estimated to be at the end of the step. at_rest, between and status: see these properties.
+    positions): distances left to this step's target, for several tips the largest, NaN before the first finite target. They are
+    taken at `q`, or if joints are measured, where the joints are estimated to be at the end of the step. at_rest, between and
+    status: see these properties.
     reason: a sentence, '' for OK at the target.
     """
 

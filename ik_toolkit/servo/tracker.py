@@ -216,11 +216,11 @@ class Tracker(CopiesViews, ReadOnly):
         InvalidOption for a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.
+        parts_of_step(dt, self._late or LATE * dt, self._longest > 0.0)  # This refuses a dt that is absurdly long.
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
-            self.prepare(stream.kinds or (KIND.position,) * stream.tips)
+            self.prepare(stream.kinds or (KIND.pose,) * stream.tips)
         (observer := self._observer).send(before := self._q.copy())
         if q is not None:
             lag = observer.take(read_measured(self.robot, q), dt, self.resync, self._limits) / self.resync
@@ -245,8 +245,11 @@ class Tracker(CopiesViews, ReadOnly):
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
         now = self._carried.motion * self._units
+        errors = (
+            self._out.E.copy() if stream.kinds else np.full_like(self._out.E, np.nan)
+        )  # before any target they are unknown
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), stream.samples.block.copy(), dt, h, lost,
+            self._judged, code, before, errors, stream.samples.block.copy(), dt, h, lost,
             self._state[STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         if finite:

@@ -182,7 +182,8 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     top, low = min(top_p, fast, rise), max(low_p, slow, fall)
     why_top = BIT.acceleration if top == rise else BIT.velocity if top == fast else BIT.position
     why_low = BIT.acceleration if low == fall else BIT.velocity if low == slow else BIT.position
-    if ahead < 0.0 or behind < 0.0:
+    outside = ahead < 0.0 or behind < 0.0
+    if outside:
         why_top, why_low = why_top | BIT.recovering, why_low | BIT.recovering
     if low > top:
         miss = low - top
@@ -191,8 +192,8 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # Rounding alone can also leave no rate between the bounds; this does not count as recovering.
-        why = BIT.position | BIT.acceleration | (BIT.recovering if miss * h > MARGIN.noise else 0)
+        # Rounding alone can also leave no rate between the bounds; inside the limits this does not count as recovering.
+        why = BIT.position | BIT.acceleration | (BIT.recovering if outside or miss * h > MARGIN.noise else 0)
         return w, w, why, why
     return low, top, why_low, why_top
 

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 from references import Q0, panda_reference
 
+import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.servo.run import track
@@ -71,9 +72,35 @@ def test_updates_without_twist_and_with_uneven_steps(panda):
         step = tracker.update(ref.target(t), dt)
         worst = max(worst, step.position_error if t > 1.0 else 0.0)
     assert 0.0 < worst < 1e-4  # a target moves up to 1.5 mm in a step
-    held = Tracker(panda, "cv", q0=Q0)
-    assert held.update(np.full(3, np.nan), 0.01).status is StepStatus.HELD
-    assert held.update(panda.fk(Q0).translation, 0.01).status is StepStatus.OK
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"free_turn": "z"}, {"priority": "orientation"}, {"mask": (0, 0, 0, 1, 1, 1)}, {"frame": "target"}],
+    ids=str,
+)
+def test_a_stream_that_begins_with_a_target_that_is_not_finite(panda, options):
+    """A camera that has not seen its target yet: the arm holds, whatever the options say of positions and orientations."""
+    for nothing, target in ((np.full((4, 4), np.nan), panda.fk(Q0)), (np.full(3, np.nan), panda.fk(Q0).translation)):
+        if options and nothing.ndim == 1:
+            target = panda.fk(Q0)  # these options are about orientation, and a position has none
+        held = Tracker(panda, "cv", q0=Q0, **options)
+        step = held.update(nothing, 0.01)
+        assert step.status is StepStatus.HELD and np.array_equal(step.q, Q0)
+        assert held.update(target, 0.01).status is StepStatus.OK
+
+
+@pytest.mark.parametrize("method", ["cv", "dls"])
+def test_an_orientation_that_does_not_count_has_no_error(panda, method):
+    """Published methods and solvers alike: for a position, or a mask without rotations, there is no orientation error."""
+    T = panda.fk(Q0).homogeneous
+    only = {"mask": (1, 1, 1, 0, 0, 0)}
+    for target, options in ((T[:3, 3], {}), (T[:3, 3], only), (T, only)):
+        step = Tracker(panda, method, q0=Q0, **options).update(target, 0.01)
+        assert step.orientation_error is None and step.position_error < 1e-9
+    assert Tracker(panda, method, q0=Q0).update(T, 0.01).orientation_error is not None
+    run = track(panda, ik.line(T[:3, 3], T[:3, 3] + 0.01, duration=0.2), method, q0=Q0, on_limit="leave")
+    assert run.orientation_error is None and "deg" not in run.message
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 2.5, 2.9, np.pi - 1e-9])
@@ -209,6 +236,9 @@ def test_a_step_in_another_unit_is_refused_before_anything_changes(panda):
         tracker.update(target, 1e6)
     np.testing.assert_array_equal(tracker.q, q)
     assert tracker.update(target, 60.0).status is StepStatus.OK  # a minute's pause is none
+    given = Tracker(panda, dt_max=1e-4)
+    with pytest.raises(InvalidOption, match=r"600,000 parts of at most 0.0001 s, which is dt_max. Was another unit"):
+        given.update(target, 60.0)
 
 
 def test_fast_rates_at_the_start_are_no_angles(caplog):

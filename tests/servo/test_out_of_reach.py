@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.servo.step import StepStatus
@@ -133,3 +134,16 @@ def test_with_the_reach_as_length_scale_it_ends_where_solve_does():
     alike, usual, nearest = ((one.position_error / robot.reach) ** 2 + one.orientation_error**2 for one in ends)
     assert alike == pytest.approx(nearest, rel=1e-4)
     assert usual > 1.1 * nearest and ends[1].position_error < ends[0].position_error
+
+
+@pytest.mark.parametrize("method", ["cv", "aad", "ca", "aa"])
+@pytest.mark.parametrize("acceleration", [2.0, 5.0, 20.0])
+def test_a_single_joint_does_not_swing_before_a_target_far_away(method, acceleration):
+    """Its acceleration limit makes it turn back slowly, and by so little of the error that it passed as progress."""
+    joint = ("revolute", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -3.0, 3.0)
+    robot = ik.Robot.load(urdf([joint], ((0.4, 0.0, 0.0), (0.0, 0.0, 0.0))))
+    tracker = ik.Tracker(robot, method, q0=[-1.5], acceleration_limits=acceleration)
+    steps = [tracker.update((6.0, 0.3, 0.0), 0.01) for _ in range(1000)]
+    assert steps[-1].status is StepStatus.AT_LIMIT
+    assert np.ptp([step.q[0] for step in steps[-200:]]) < 1e-6
+    assert steps[-1].q[0] == pytest.approx(np.arctan2(0.3, 6.0), abs=1e-4)

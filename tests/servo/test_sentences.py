@@ -85,6 +85,16 @@ def test_steps(planar, start, target, options, status, reason):
     assert step.status.name == status and re.fullmatch(reason, step.reason)
     told = f", {step.reason}" if reason else ""
     assert repr(step) == f"Step({status}, {step.position_error:.3g} m{told})"
-    assert step.orientation_error is None and step.between is None
+    unknown = status == "HELD"  # There has been no target yet.
+    assert np.isnan([step.position_error, step.orientation_error]).all() if unknown else step.orientation_error is None
+    assert step.between is None
     if status == "JUMPED":
         assert f"moved {step.q[1] - start[1]:.3g} in" in step.reason
+
+
+@pytest.mark.parametrize(("method", "most", "dt"), [("cv", 1.0, 0.01), ("ca", 5.0, 0.002), ("aad", 2.0, 0.002)])
+def test_a_joint_outside_its_limits_recovers_in_every_step(planar, method, most, dt):
+    """In some of these steps rounding leaves a joint only one rate."""
+    tracker = ik.Tracker(planar, method, q0=[0.3, planar.upper[1] + 0.5], acceleration_limits=most)
+    while (step := tracker.update(planar.fk(Q).translation, dt)).q[1] > planar.upper[1] + 1e-9:
+        assert step.status is ik.StepStatus.RECOVERING
