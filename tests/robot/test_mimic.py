@@ -88,7 +88,7 @@ def test_a_follower_may_carry_its_leader():
     assert robot.lower[0] == pytest.approx(-0.9) and robot.upper[0] == pytest.approx(1.1)
 
 
-@pytest.mark.parametrize("leader", ["nobody", "a_nail", "fixed"])
+@pytest.mark.parametrize("leader", ["nobody", "a_index", "a_nail", "fixed"])
 def test_followers_that_cannot_be_tied_matter_on_the_path_only(leader):
     text = HAND.replace('<mimic joint="thumb" multiplier="0.5" offset="0.1"/>', f'<mimic joint="{leader}"/>')
     text = text.replace("</robot>", joint("fixed", "fixed", "palm", "plate") + "</robot>")
