@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ik_toolkit.errors import ModelError, near_match
 from ik_toolkit.robot.formats.mimic import mimic_limits
-from ik_toolkit.robot.formats.urdf import ENDLESS, parse
+from ik_toolkit.robot.formats.urdf import parse
 from ik_toolkit.robot.formats.urdf_check import check_urdf, require_loadable, safe_read
 from ik_toolkit.robot.formats.urdf_model import build_model
 from ik_toolkit.robot.library import shipped_robots
@@ -241,18 +241,6 @@ def test_text_and_file_give_the_same():
     path = shipped_robots()["hydrolek_7w"].path
     text = path.read_text()
     assert safe_read(path) == safe_read(str(path)) == safe_read(text) == safe_read("\ufeff \n" + text)
-
-
-def test_mimic_limits():
-    text = chain(4)
-    text = text.replace('name="j1" type="revolute">', 'name="j1" type="revolute"><mimic joint="j0"/>')
-    text = text.replace(
-        'name="j2" type="revolute">', 'name="j2" type="continuous"><mimic joint="j0" multiplier="-2" offset=".5"/>'
-    )
-    assert mimic_limits(load(text)) == {
-        "j1": ("j0", 1.0, 0.0, -1.0, 1.0),
-        "j2": ("j0", -2.0, 0.5, -ENDLESS, ENDLESS),
-    }
 
 
 @pytest.mark.parametrize("name", list(shipped_robots()))

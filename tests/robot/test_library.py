@@ -41,26 +41,6 @@ def test_robots_toml_has_no_second_reach():
     assert all("reach" not in row for row in rows.values())
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_home_is_inside_the_limits_and_not_singular(name):
-    entry = find(name)
-    model = pin.buildModelFromUrdf(str(entry.path), True)
-    data, home = model.createData(), pin.neutral(model)
-    moving = [j for j in range(1, model.njoints) if not any(w in model.names[j] for w in ("gripper", "parallelogram"))]
-    assert len(entry.home) == len(moving)
-    for j, value in zip(moving, entry.home, strict=True):
-        assert model.lowerPositionLimit[model.joints[j].idx_q] < value < model.upperPositionLimit[model.joints[j].idx_q]
-        home[model.joints[j].idx_q] = value
-    pin.computeJointJacobians(model, data, home)
-    pin.updateFramePlacements(model, data)
-    for tip in entry.tips:
-        J = pin.getFrameJacobian(model, data, model.getFrameId(tip), pin.LOCAL_WORLD_ALIGNED)
-        J = J[:, np.abs(J).max(axis=0) > 0]
-        smallest = np.linalg.svd(J, compute_uv=False)[min(J.shape) - 1]
-        assert smallest > 0.05
-    assert model.existBodyName(entry.base)
-
-
 def test_brokk():
     """Both arms are HydroLeks on one turret; the grippers move nothing on the paths."""
     entry = find("brokk_hydrolek")

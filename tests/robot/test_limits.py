@@ -88,6 +88,7 @@ def test_only_what_means_none_is_no_limit(caplog):
     for sign in ("-1e16", "1e16"), ("-1e308", "1e308"), ("-1.7976931348623157e308", "1.7976931348623157e308"):
         robot = slide(*sign)
         assert np.isinf([robot.lower[0], robot.upper[0]]).all() and robot.notes == ()
+        assert slide(*sign, "revolute").joint_kinds[0] == "continuous"
     caplog.clear()
     for kind in ("prismatic", "revolute"):
         robot = slide(-3e9, 0.5, kind)
@@ -304,18 +305,15 @@ def test_public_attributes_cannot_be_assigned(arm):
                     delattr(thing, key)
 
 
-def test_margins_of_a_model_cannot_be_written():
-    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
-    with pytest.raises(ValueError, match="read-only"):
-        model.margins[:] = 0.0
-
-
 def test_arrays_of_a_robot_cannot_be_written(arm):
     for thing in (arm, ik.Tree.load("brokk_hydrolek"), arm.narrowed(middle_half(arm))):
         for name in ("lower", "upper", "home", "rest", "velocity_limits"):
             with pytest.raises(ValueError, match="read-only"):
                 getattr(thing, name)[0] = 0.0
         assert isinstance(thing.joint_names, tuple) and isinstance(thing.joint_kinds, tuple)
+    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        model.margins[:] = 0.0
 
 
 @pytest.mark.parametrize("place", [0, 3])

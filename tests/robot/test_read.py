@@ -32,17 +32,6 @@ def test_a_quaternion_is_the_rotation(quaternion):
     assert "quat" not in made and ik.Robot.load(made).fk([0.1, 0.2]).isApprox(robot.fk([0.1, 0.2]), 1e-14)
 
 
-def test_random_quaternions():
-    for seed in range(20):
-        x = np.random.default_rng(seed).normal(size=4)
-        x[np.random.default_rng(seed + 100).random(4) < 0.3] = 0.0
-        if x.any():
-            text = elbow(
-                f'<origin quat_xyzw="{" ".join(map(repr, (x / np.linalg.norm(x)).tolist()))}"/>', robot=' version="1.2"'
-            )
-            same_fk(text, seed)
-
-
 def test_a_quaternion_without_a_version_is_used_and_said(caplog):
     text = elbow('<origin quat_xyzw="0 0 0.6 0.8"/>')
     assert abs(same_fk(text).fk([0, 0]).rotation[1, 0] - 0.96) < 1e-12

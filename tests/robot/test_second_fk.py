@@ -271,17 +271,6 @@ def test_a_chain_that_differs_from_pinocchio_is_refused():
         Skewed(pin.buildModelFromXML(arm(), True))
 
 
-def test_limits_larger_than_is_computed_with():
-    """At a billion radians a double does not hold an angle to 1e-9 any more: the limit is brought down, and a note says so."""
-    robot = ik.Robot.load(robots.urdf(dict(kind="revolute", limits=(-1e9, 1e9)), dict(kind="revolute", axis="0 1 0")))
-    assert robot.joint_kinds[0] == "revolute" and (robot.lower[0], robot.upper[0]) == (-1e6, 1e6)
-    assert any("j0" in note and "1e+09" in note for note in robot.notes)
-    endless = ik.Robot.load(
-        robots.urdf(dict(kind="revolute", limits=(-1e16, 1e16)), dict(kind="revolute", axis="0 1 0"))
-    )
-    assert endless.joint_kinds[0] == "continuous" and np.isinf(endless.upper[0]) and not endless.notes
-
-
 def test_loading_compiles_nothing(tmp_path):
     """A robot is loaded, its home found and its starts tabulated without the compiler, which takes seconds."""
     code = (
