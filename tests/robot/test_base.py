@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import joint, load
+from robots import branches, filled, joint, load
 
 import ik_toolkit as ik
 from ik_toolkit import cli
@@ -17,14 +17,17 @@ PLANAR, FLOATING = (
     ("base_x", "base_y", "base_yaw"),
     ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll"),
 )
-BODY = '<robot name="legs"><link name="body"/>'
-for _leg in ("left", "right"):
-    BODY += joint(
-        f"{_leg}_hip", "revolute", "body", f"{_leg}_thigh", "1 0 0", "0 0.1 0" if _leg == "left" else "0 -0.1 0"
+
+
+def leg(side, y):
+    return (
+        joint(f"{side}_hip", "revolute", "body", f"{side}_thigh", "1 0 0", f"0 {y} 0")
+        + joint(f"{side}_knee", "revolute", f"{side}_thigh", f"{side}_shank", "0 1 0", "0 0 -0.3")
+        + joint(f"{side}_sole", "fixed", f"{side}_shank", f"{side}_foot", xyz="0 0 -0.3")
     )
-    BODY += joint(f"{_leg}_knee", "revolute", f"{_leg}_thigh", f"{_leg}_shank", "0 1 0", "0 0 -0.3")
-    BODY += joint(f"{_leg}_sole", "fixed", f"{_leg}_shank", f"{_leg}_foot", xyz="0 0 -0.3")
-BODY += "</robot>"
+
+
+BODY = branches(leg("left", 0.1), leg("right", -0.1), root="body", name="legs")
 FEET = ("left_foot", "right_foot")
 
 
@@ -33,6 +36,18 @@ def solved(robot, count, seed=0, **options):
     rng = np.random.default_rng(seed)
     results = [ik.solve(robot, robot.fk(robot.random_q(rng)), seed=k, **options) for k in range(count)]
     return sum(result.success for result in results)
+
+
+def check_fk(robot, model, count):
+    """Random q and back, and the tip where Pinocchio has it in the model that was given."""
+    data = model.createData()
+    for q in robot.random_q(np.random.default_rng(2), count):
+        full = robot.to_pinocchio(q)
+        assert full.shape == (model.nq,) and pin.isNormalized(model, full, 1e-9)
+        pin.framesForwardKinematics(model, data, full)
+        found = data.oMf[model.getFrameId(robot.tip)].homogeneous
+        assert np.abs(found - robot.fk(q).homogeneous).max() < 1e-12
+        assert np.allclose(robot.fk(robot.q_from_pinocchio(full)).homogeneous, found, atol=1e-9)
 
 
 def test_a_pose_moves_the_robot_in_the_world():
@@ -116,9 +131,8 @@ def test_mistakes(options, error, said):
 
 
 def test_names_that_a_robot_has_already():
-    text = '<robot name="r"><link name="a"/>' + joint("base_x", "prismatic", "a", "b") + "</robot>"
     with pytest.raises(InvalidOption, match="already has a joint 'base_x'"):
-        ik.Robot.load(text, on_base="planar", base_limits=(0, 1))
+        ik.Robot.load(branches(joint("base_x", "prismatic", "o", "a")), on_base="planar", base_limits=(0, 1))
 
 
 @pytest.mark.parametrize("flyer", [pin.JointModelFreeFlyer, pin.JointModelPlanar])
@@ -128,16 +142,9 @@ def test_a_free_flyer_of_a_given_model_is_solved_for(flyer):
         ik.Robot(model, tip="left_foot")
     robot = ik.Robot(model, tip="left_foot", base_limits=(-1, 1))
     assert robot.joint_names[:3] == ("base_x", "base_y", "base_z" if flyer is pin.JointModelFreeFlyer else "base_yaw")
-    data, rng = model.createData(), np.random.default_rng(2)
-    for _ in range(20):
-        q = robot.random_q(rng)
-        full = robot.to_pinocchio(q)
-        assert full.shape == (model.nq,) and np.allclose(pin.normalize(model, full), full, atol=1e-12)
-        pin.framesForwardKinematics(model, data, full)
-        assert np.allclose(data.oMf[model.getFrameId("left_foot")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
-        back = robot.fk(robot.q_from_pinocchio(full)).homogeneous
-        assert np.allclose(back, robot.fk(q).homogeneous, atol=1e-9)
-    assert robot.to_pinocchio(robot.home, rest=full).shape == full.shape
+    check_fk(robot, model, 20)
+    rest = robot.to_pinocchio(robot.random_q(np.random.default_rng(3)))
+    assert robot.to_pinocchio(robot.home, rest=rest).shape == rest.shape
     still = ik.Robot(model, tip="left_foot", base="body")
     assert still.joint_names == ("left_hip", "left_knee")
     with pytest.raises(InvalidOption, match="already has a base that moves"):
@@ -151,10 +158,7 @@ def test_a_ball_is_three_revolute_joints():
     model.addFrame(pin.Frame("hand", elbow, 0, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), pin.FrameType.BODY))
     robot = ik.Robot(model, tip="hand")
     assert robot.joint_names == ("shoulder_yaw", "shoulder_pitch", "shoulder_roll", "elbow")
-    q = robot.random_q(np.random.default_rng(0))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, robot.to_pinocchio(q))
-    assert np.allclose(data.oMf[model.getFrameId("hand")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
+    check_fk(robot, model, 1)
     assert solved(robot, 20) == 20
 
 
@@ -184,8 +188,7 @@ def test_legs_together_with_a_floating_base():
 
 def test_shapes_given_for_the_model_lie_on_its_links():
     box = '<collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision>'
-    text = BODY.replace('<link name="left_shank"/>', f'<link name="left_shank">{box}</link>')
-    text = text.replace('<link name="body"/>', f'<link name="body">{box}</link>')
+    text = filled(BODY, {"left_shank": box, "body": box})
     model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
     shapes = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     robot = ik.Robot(model, tip="left_foot", base_limits=(-1, 1))
@@ -222,10 +225,7 @@ def test_mimic_joints_below_a_free_flyer():
     model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer(), True)
     robot = ik.Robot(model, tip="left_toe", base_limits=(-1, 1))
     assert robot.n == 8
-    q = robot.random_q(np.random.default_rng(0))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, robot.to_pinocchio(q))
-    assert np.allclose(data.oMf[model.getFrameId("left_toe")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
+    check_fk(robot, model, 1)
 
 
 def test_a_robot_on_a_table_in_a_shell(capsys):
@@ -265,9 +265,4 @@ def test_ball_and_continuous_joints_of_a_given_model_keep_their_form():
     model.upperPositionLimit[:] = 1.0
     model.lowerPositionLimit[:] = -1.0
     robot = ik.Robot(model, tip="l4", base_limits=(-1, 1))
-    data, rng = model.createData(), np.random.default_rng(2)
-    for q in robot.random_q(rng, 20):
-        full = robot.to_pinocchio(q)
-        assert full.shape == (model.nq,) and pin.isNormalized(model, full, 1e-9)
-        pin.framesForwardKinematics(model, data, full)
-        assert np.abs(data.oMf[model.getFrameId("l4")].homogeneous - robot.fk(q).homogeneous).max() < 1e-12
+    check_fk(robot, model, 20)

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import have_data, load, sample, urdf
+from robots import ball, filled, have_data, load, sample, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, ModelError
@@ -105,13 +105,10 @@ def test_joined_links_and_links_that_never_move_are_not_tested():
 
 
 TOUCHING = urdf(*[{"kind": "revolute", "axis": "0 1 0", "limits": (-1.0, 1.0), "xyz": "0 0 0.3"}] * 4, name="touching")
-BALL = '<collision><geometry><sphere radius="{}"/></geometry></collision>'
 
 
 def balls(*radii, text=TOUCHING):
-    for k, radius in enumerate(radii):
-        text = text.replace(f'<link name="l{k}"/>', f'<link name="l{k}">{BALL.format(radius)}</link>')
-    return ik.Robot.load(text)
+    return ik.Robot.load(filled(text, {f"l{k}": ball(radius) for k, radius in enumerate(radii)}))
 
 
 def test_pairs_that_touch_at_rest_are_listed_not_tested():
@@ -125,21 +122,20 @@ def test_every_excluded_pair_is_gone():
     """All of them touch at home and at zero: none is left (removing from the list that is walked skips every second)."""
     model = ik.CollisionModel(balls(*[2.0] * 5))
     assert len(model.excluded) == 6 and model.pairs == ()
-    # pairs of shapes: 3 a link
-    two = TOUCHING.replace('<link name="l0"/>', f'<link name="l0">{BALL.format(2.0) * 3}</link>')
+    two = filled(TOUCHING, {"l0": ball(2.0) * 3})
     model = ik.CollisionModel(balls(0, 0.01, 0.3, 0.3, 0.3, text=two))
     assert {pair for pair in model.excluded if "l0" in pair} == {("l0", f"l{k}") for k in (2, 3, 4)}
     assert not set(model.pairs) & set(model.excluded) and not model.collisions(model.robot.home)
 
 
-WIDE = ["panda_description/urdf/panda_collision.urdf", *(DATA_ROBOTS[name][0] for name in ("centauro", "tiago"))]
+WIDE = [DATA_ROBOTS[name][0] for name in ("centauro", "tiago")]  # others are in test_wide.py
 
 
 @pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize("file", WIDE)
 def test_what_touches_by_construction_is_not_tested(file):
     path = example_robot_data("panda")[0].parents[2] / file
-    tip = {"centauro": "arm1_8", "tiago": "hand_index_flex_3_link"}.get(path.stem, "panda_leftfinger")
+    tip = {"centauro": "arm1_8", "tiago": "hand_index_flex_3_link"}[path.stem]
     model = ik.CollisionModel(ik.Robot.load(path, tip=tip, package_dirs=[path.parents[4]], srdf=False))
     assert model.excluded and not set(model.pairs) & set(model.excluded)
     assert model.collisions(model.robot.home) == []
@@ -163,9 +159,9 @@ def test_robots_without_shapes_or_meshes_say_so():
         ik.CollisionModel(load("slides_mix"))
     with pytest.raises(ModelError, match="no collision shapes"):
         ik.solve(load("slides_mix"), load("slides_mix").fk(load("slides_mix").home), avoid_collisions=True)
-    mesh = '<link name="l1"><collision><geometry><mesh filename="package://nowhere/part.stl"/></geometry></collision></link>'
+    mesh = '<collision><geometry><mesh filename="package://nowhere/part.stl"/></geometry></collision>'
     with pytest.raises(ModelError, match=r"part\.stl.*package_dirs"):
-        ik.CollisionModel(ik.Robot.load(TOUCHING.replace('<link name="l1"/>', mesh)))
+        ik.CollisionModel(ik.Robot.load(filled(TOUCHING, {"l1": mesh})))
     made = ik.Robot(pin.buildModelFromXML(TOUCHING), tip="l4")
     with pytest.raises(ModelError, match="collision_model="):
         ik.CollisionModel(made)

@@ -3,7 +3,7 @@
 import pytest
 import robots
 from refusals import refuses
-from robots import joint
+from robots import ball, branches, filled, joint
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidTarget, ModelError, ReadOnlyAttribute
@@ -62,8 +62,7 @@ def test_mesh_files(arm, tmp_path, monkeypatch):
 
 def test_what_is_near_where_there_is_nothing():
     text = robots.urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0"))
-    ball = '<link name="l2"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
-    alone = ik.CollisionModel(ik.Robot.load(text.replace('<link name="l2"/>', ball)))
+    alone = ik.CollisionModel(ik.Robot.load(filled(text, {"l2": ball(0.1)})))
     assert alone.distance([0.1, 0.2]) is None and alone.distances([0.1, 0.2]) == [] and not alone.collides([0.1, 0.2])
 
 
@@ -82,8 +81,8 @@ def test_what_is_near_where_there_is_nothing():
 def test_numbers_of_shapes(element, said):
     text = robots.urdf(dict(kind="revolute"))
     for where in ("collision", "visual"):
-        shape = f'<link name="l1"><{where}><geometry>{element}</geometry></{where}></link>'
-        assert any(said in str(one) for one in check_urdf(text.replace('<link name="l1"/>', shape)))
+        shape = f"<{where}><geometry>{element}</geometry></{where}>"
+        assert any(said in str(one) for one in check_urdf(filled(text, {"l1": shape})))
 
 
 @pytest.mark.parametrize("name", ["ixx", "ixy", "ixz", "iyy", "iyz", "izz", "mass"])
@@ -94,7 +93,7 @@ def test_numbers_of_masses(name):
         mass = wrong if name == "mass" else "1"
         words = " ".join(f'{key}="{value}"' for key, value in given.items())
         inertial = f'<inertial><mass value="{mass}"/><inertia {words}/></inertial>'
-        text = robots.urdf(dict(kind="revolute")).replace('<link name="l1"/>', f'<link name="l1">{inertial}</link>')
+        text = filled(robots.urdf(dict(kind="revolute")), {"l1": inertial})
         said = f'<mass value="{wrong}"> is' if name == "mass" else f'<inertia {name}="{wrong}"> is'
         assert any(said in str(one) for one in check_urdf(text))
 
@@ -110,9 +109,7 @@ def test_numbers_of_masses(name):
     ],
 )
 def test_shapes_that_are_none_are_said(geometry, told):
-    text = f'<robot name="r">\n<link name="o">\n<collision>{geometry}</collision></link>' + joint(
-        "j", "revolute", "o", "a"
-    )
-    (found,) = check_urdf(text + "</robot>")
+    text = filled(branches(joint("j", "revolute", "o", "a")), {"o": f"\n\n<collision>{geometry}</collision>"})
+    (found,) = check_urdf(text)
     assert (found.severity, found.line, found.problem) == ("warning", 3, told)
-    assert any(told in note for note in ik.Robot.load(text + "</robot>").notes)
+    assert any(told in note for note in ik.Robot.load(text).notes)
