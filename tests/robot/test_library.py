@@ -110,9 +110,8 @@ def test_not_found(source, message):
 
 def test_without_the_data_wheel(monkeypatch):
     monkeypatch.setattr(library, "DATA_PACKAGE", "no-such-distribution")
-    with pytest.raises(
-        MissingExtra, match="no-such-distribution is not installed; run: pip install example-robot-data"
-    ):
+    said = "no-such-distribution is not installed; run: pip install example-robot-data"
+    with pytest.raises(MissingExtra, match=said):
         find("panda")
     assert [entry.name for entry in list_robots()] == NAMES
 
@@ -122,10 +121,8 @@ def test_without_the_data_wheel(monkeypatch):
 def test_data_robots_have_their_tips(name):
     path, folders = example_robot_data(name)
     model = pin.buildModelFromUrdf(str(path), True)
-    assert all(
-        model.existBodyName(tip) and model.frames[model.getFrameId(tip, pin.BODY)].parentJoint > 0
-        for tip in DATA_ROBOTS[name][1]
-    )
+    for tip in DATA_ROBOTS[name][1]:
+        assert model.existBodyName(tip) and model.frames[model.getFrameId(tip, pin.BODY)].parentJoint > 0
     assert (folders[0] / "example-robot-data").is_dir()
     assert find(name).path == path
 
@@ -156,10 +153,7 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
     (tmp_path / "arm.urdf").write_text(urdf(dict(kind="revolute")))
     known = types.SimpleNamespace(has_urdf=True)
     stand_in = types.ModuleType("robot_descriptions")
-    stand_in.DESCRIPTIONS = {
-        "arm_description": known,
-        "gone_description": known,
-    }
+    stand_in.DESCRIPTIONS = {"arm_description": known, "gone_description": known}
     stand_in.__spec__ = importlib.machinery.ModuleSpec("robot_descriptions", None)
     stand_in.__path__ = []
     arm = types.ModuleType("robot_descriptions.arm_description")
