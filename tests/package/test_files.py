@@ -176,20 +176,12 @@ def test_a_bad_line_late_in_a_file_keeps_the_solutions_before_it_apart(tmp_path,
     assert f"the first {len(rows) - 1} solutions" in said and {row.count(",") for row in rows} == {rows[0].count(",")}
 
 
-def test_targets_under_another_name_are_not_overwritten(tmp_path, capsys):
-    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
-    before = (tmp_path / "in.npz").read_bytes()
-    os.link(tmp_path / "in.npz", tmp_path / "hard.npz")
-    (tmp_path / "soft.npz").symlink_to("in.npz")
-    for name in ("hard.npz", "soft.npz"):
-        assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(tmp_path / name)]) == 2
-        assert "overwrite" in capsys.readouterr().err
-    assert (tmp_path / "in.npz").read_bytes() == before
-
-
-def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, capsys):
+def test_what_is_read_is_not_overwritten_under_another_name(tmp_path, capsys):
     arm, table, path = tmp_path / "arm.urdf", tmp_path / "dh.toml", tmp_path / "way.csv"
     arm.write_text(find(ARM).source.read_text())
+    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
+    os.link(tmp_path / "in.npz", tmp_path / "hard.npz")
+    (tmp_path / "soft.npz").symlink_to("in.npz")
     table.write_text("no table")
     os.link(table, tmp_path / "table.toml")
     path.write_text("t,x,y,z\n0,1,1,0\n1,1,1.1,0\n")
@@ -200,6 +192,10 @@ def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, caps
     for words in (
         *([*solve, "-o", str(tmp_path / name)] for name in ("hard.json", "soft.json")),
         ["solve", "-o", f"{tmp_path}/./hard.json", *solve[1:]],
+        *(
+            ["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(tmp_path / name)]
+            for name in ("hard.npz", "soft.npz")
+        ),
         ["workspace", str(arm), "-n", "3", "-o", str(tmp_path / "soft.json")],
         ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(tmp_path / "hard.json")],
         ["convert", str(arm), "-o", str(arm)],
