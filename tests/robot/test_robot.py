@@ -208,16 +208,16 @@ def test_errors_and_limits_of_lists():
     assert robot.outside(q) == list(robot.joint_names[1:3])
 
 
-@pytest.mark.parametrize("rng", [0, None, "seed", np.random])
-def test_a_generator_is_needed_for_random_configurations(rng):
-    with pytest.raises(errors.InvalidOption, match=r"rng must be a numpy\.random\.Generator"):
-        robots.load("hydrolek_7w").random_q(rng)
-
-
-@pytest.mark.parametrize("count", [-1, 1.5, True, "two"])
-def test_random_configurations_are_counted_by_whole_numbers(count):
-    with pytest.raises(errors.InvalidOption, match="count must be a whole number"):
-        robots.load("hydrolek_7w").random_q(np.random.default_rng(0), count)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        *(((rng,), r"rng must be a numpy\.random\.Generator") for rng in (0, None, "seed", np.random)),
+        *(((np.random.default_rng(0), count), "count must be a whole number") for count in (-1, 1.5, True, "two")),
+    ],
+)
+def test_random_configurations_need_a_generator_and_a_count(given, said):
+    with pytest.raises(errors.InvalidOption, match=said):
+        robots.load("hydrolek_7w").random_q(*given)
 
 
 @pytest.mark.parametrize(
