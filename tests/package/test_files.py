@@ -188,14 +188,11 @@ def test_what_is_read_is_not_overwritten_under_another_name(tmp_path, capsys):
     os.link(arm, tmp_path / "hard.json")
     os.link(table, tmp_path / "table.urdf")
     (tmp_path / "soft.json").symlink_to("arm.urdf")
-    solve = ["solve", str(arm), "--xyz", "1", "1", "0"]
+    solve, batch = ["solve", str(arm), "--xyz", "1", "1", "0"], ["solve", ARM, "--targets", str(tmp_path / "in.npz")]
     for words in (
         *([*solve, "-o", str(tmp_path / name)] for name in ("hard.json", "soft.json")),
         ["solve", "-o", f"{tmp_path}/./hard.json", *solve[1:]],
-        *(
-            ["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(tmp_path / name)]
-            for name in ("hard.npz", "soft.npz")
-        ),
+        *([*batch, "-o", str(tmp_path / name)] for name in ("hard.npz", "soft.npz")),
         ["workspace", str(arm), "-n", "3", "-o", str(tmp_path / "soft.json")],
         ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(tmp_path / "hard.json")],
         ["convert", str(arm), "-o", str(arm)],

@@ -13,10 +13,8 @@ from ik_toolkit import cli
 from ik_toolkit.errors import InvalidOption, InvalidTarget, ModelError
 
 ARM = "hydrolek_7w"
-PLANAR, FLOATING = (
-    ("base_x", "base_y", "base_yaw"),
-    ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll"),
-)
+PLANAR = ("base_x", "base_y", "base_yaw")
+FLOATING = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
 def leg(side, y):
@@ -68,10 +66,8 @@ def test_a_base_is_ordinary_joints_before_the_others(kind, names):
     assert np.array_equal(robot.home[count:], plain.home) and np.array_equal(robot.lower[count:], plain.lower)
     slides = [name[-1] in "xyz" for name in names]
     assert (robot.lower[:count][slides] == -0.5).all() and (robot.upper[:count][slides] == 2.0).all()
-    assert (
-        np.isinf(robot.upper[names.index("base_yaw")])
-        and robot.joint_kinds[count - 1 if count == 3 else 3] == "continuous"
-    )
+    yaw = names.index("base_yaw")
+    assert np.isinf(robot.upper[yaw]) and robot.joint_kinds[yaw] == "continuous"
     if kind == "floating":
         assert np.degrees(robot.upper[4]) == pytest.approx(85.0) and np.isinf(robot.lower[5])
     q = robot.random_q(np.random.default_rng(1))
@@ -113,11 +109,7 @@ def test_forms_of_limits(limits, lower):
         ({"on_base": "plane"}, InvalidOption, "Did you mean 'planar'"),
         ({"base_limits": (0, 1)}, InvalidOption, "for a moving base"),
         ({"on_base": np.eye(4), "base_limits": (0, 1)}, InvalidOption, "for a moving base"),
-        (
-            {"on_base": "planar", "base_limits": (1, 0)},
-            InvalidOption,
-            "base_limits of 'base_x' must be two finite numbers",
-        ),
+        ({"on_base": "planar", "base_limits": (1, 0)}, InvalidOption, "of 'base_x' must be two finite numbers"),
         ({"on_base": "planar", "base_limits": (0, np.inf)}, InvalidOption, "two finite numbers"),
         ({"on_base": "planar", "base_limits": {"base_z": (0, 1)}}, InvalidOption, "no coordinate 'base_z'"),
         ({"on_base": "planar", "base_limits": "far"}, InvalidOption, "for the prismatic joints of the base"),
@@ -250,16 +242,9 @@ def test_ball_and_continuous_joints_of_a_given_model_keep_their_form():
     """A configuration there and back: a free-flyer, a ball, a planar joint, a continuous joint and a revolute one."""
     model = pin.Model()
     parent = 0
-    kinds = (
-        pin.JointModelFreeFlyer,
-        pin.JointModelRUBZ,
-        pin.JointModelSpherical,
-        pin.JointModelRY,
-        pin.JointModelPlanar,
-    )
-    for k, kind in enumerate(kinds):
+    for k, kind in enumerate(("FreeFlyer", "RUBZ", "Spherical", "RY", "Planar")):
         at = pin.SE3(pin.exp3(np.array([0.1 * k, 0.2, -0.1])), np.array([0.1, 0.0, 0.2]))
-        parent = model.addJoint(parent, kind(), at, f"j{k}")
+        parent = model.addJoint(parent, getattr(pin, f"JointModel{kind}")(), at, f"j{k}")
         model.addJointFrame(parent, -1)
         model.addBodyFrame(f"l{k}", parent, pin.SE3.Identity(), -1)
     model.upperPositionLimit[:] = 1.0

@@ -16,10 +16,8 @@ OFFSETS = (0.0, 2e-17, 1e-12, 1e-6, 1e-3, 10.0)
 
 def gantry(stroke, offset, turning=True):
     """Three crossed slides whose origins are `offset` apart, and perhaps a wrist."""
-    joints = [
-        dict(kind="prismatic", axis=axis, xyz=f"{offset} 0 0", limits=(-stroke, stroke))
-        for axis in ("1 0 0", "0 1 0", "0 0 1")
-    ]
+    slide = dict(kind="prismatic", xyz=f"{offset} 0 0", limits=(-stroke, stroke))
+    joints = [dict(slide, axis=axis) for axis in ("1 0 0", "0 1 0", "0 0 1")]
     return urdf(*joints, *[dict(kind="revolute", axis="0 0 1", limits=(-2.0, 1.5))] * turning)
 
 

@@ -38,10 +38,7 @@ def test_poses():
     refuses(
         InvalidTarget,
         (lambda: ik.pose((0.1, 0.2)), r"xyz must be 3 numbers, not an array of shape \(2,\)"),
-        (
-            lambda: AxisTarget((0.1, 0.2, 0.3), (0.0, 0.0, 1.0)),
-            "T_base_tip of an AxisTarget is a 4x4 pose, not a position",
-        ),
+        (lambda: AxisTarget((0.1, 0.2, 0.3), (0, 0, 1)), "T_base_tip of an AxisTarget is a 4x4 pose, not a position"),
         (lambda: ik.solve(arm, (1e300, 0.0, 0.0)), too_far),
         (lambda: ik.solve(arm, (1e154, 0.0, 0.0)), too_far),
     )

@@ -282,11 +282,7 @@ def test_a_follower_that_loses_its_digits_is_refused():
     """At ten million radians the last digit of an angle is 2e-9: no kernel can hold such a robot to 1e-9."""
     follower = dict(kind="revolute", axis="0 1 0", xyz="0.1 0 0.2", limits=(-1e9, 1e9))
     for multiplier, loads in (("1e5", True), ("1e8", False)):
-        text = robots.urdf(
-            dict(kind="revolute"),
-            {**follower, "mimic": tie("j0", multiplier)},
-            dict(kind="revolute"),
-        )
+        text = robots.urdf(dict(kind="revolute"), {**follower, "mimic": tie("j0", multiplier)}, dict(kind="revolute"))
         if loads:
             check_kinematics(ik.Robot.load(text), SecondFK(text), 9)
         else:

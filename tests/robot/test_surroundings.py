@@ -79,10 +79,7 @@ def test_a_tool_meets_the_links_it_can_move_against():
 def test_tools_of_a_tree():
     tree = ik.Tree.load("brokk_hydrolek")
     armed = tree.with_tool({"left_tip": (0, 0, 0.2)}, shape=ik.Shape.capsule(0.03, 0.2))
-    assert (
-        "tool at left_tip" in ik.CollisionModel(armed).links
-        and "tool at right_tip" not in ik.CollisionModel(armed).links
-    )
+    assert [name for name in ik.CollisionModel(armed).links if name.startswith("tool")] == ["tool at left_tip"]
     with pytest.raises(FrameNotFound):
         tree.with_tool((0, 0, 0), shape={"left_tp": ik.Shape.sphere(0.1)})
 
@@ -152,10 +149,7 @@ def test_mistakes_are_named():
         (lambda: model.attach("held", q=arm.home), "'held' is already attached"),
         (lambda: model.attach("ball"), "give the q at which the robot grasps it, or T_tip_shape"),
         (lambda: model.attach(3), r"ik\.Shape"),
-        (
-            lambda: model.attach(ball, touch=["lnk_6"]),
-            r"touch= names 'lnk_6', .*not a known part\. Did you mean 'link_6'",
-        ),
+        (lambda: model.attach(ball, touch=["lnk_6"]), r"names 'lnk_6', .*not a known part\. Did you mean 'link_6'"),
         (lambda: model.add_sphere(0.1, away, "ball"), "there is already a link or obstacle named 'ball'"),
         (lambda: model.add_sphere(0.1, away, "link_2"), "there is already a link or obstacle named 'link_2'"),
         (lambda: model.distances(arm.home, np.zeros(2)), "within must be a distance"),
@@ -184,10 +178,9 @@ def test_mistakes_are_named():
         (lambda: model.attach("ball", q=[1.0]), "q must have"),
         (lambda: model.add_mesh("nowhere.stl", away), "no mesh file"),
     )
+    place = (0, 0)
     refuses(
-        InvalidTarget,
-        (lambda: model.move("ball", (0, 0)), "4x4 pose"),
-        (lambda: model.add_sphere(1.0, (0, 0)), "4x4 pose"),
+        InvalidTarget, (lambda: model.move("ball", place), "4x4"), (lambda: model.add_sphere(1.0, place), "4x4 pose")
     )
     refuses(FrameNotFound, (lambda: model.attach(ball, tip="tol"), "tol"))
     assert model.obstacles == ("ball",) and model.attached == ("held",)

@@ -57,13 +57,9 @@ def test_manipulability_is_yoshikawas(tree):
     for robot in (tree, *tree.arms, tree.arms[0].locked({tree.arms[0].joint_names[0]: 0.1})):
         for q in robot.random_q(np.random.default_rng(3), 4):
             rows = robot.jacobian(q).reshape(-1, 6, robot.n)
-            for name, J in (
-                ("pose", rows),
-                ("position", rows[:, :3]),
-                ("orientation", rows[:, 3:]),
-                ((4, 0), rows[:, [4, 0]]),
-            ):
-                J = J.reshape(-1, robot.n)
+            counted = {"pose": range(6), "position": range(3), "orientation": range(3, 6), (4, 0): (4, 0)}
+            for name, which in counted.items():
+                J = rows[:, list(which)].reshape(-1, robot.n)
                 wanted = np.sqrt(np.linalg.det(J @ J.T)) if len(J) <= robot.n else 0.0
                 assert abs(robot.manipulability(q, name) - wanted) <= 1e-12 + 1e-9 * wanted
     for wrong in ("positions", (0, 0), (), (6,), 1.5, None):
