@@ -274,20 +274,13 @@ def changed(data, at, value):
     return bytes(data)
 
 
-def bomb():
-    """A gigabyte and a half of zeros in a megabyte and a half."""
+def zeros(rows, megabytes=0, packing=zipfile.ZIP_STORED):
+    """An archive that promises so many rows of zeros, and holds so much of them."""
     data = io.BytesIO()
-    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("targets.npy", "w") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 26, 3)})
-        for _ in range(1536):
+    with zipfile.ZipFile(data, "w", packing) as archive, archive.open("targets.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (rows, 3)})
+        for _ in range(megabytes):
             stream.write(bytes(1 << 20))
-    return data.getvalue()
-
-
-def promising():
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive, archive.open("targets.npy", "w") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50, 3)})
     return data.getvalue()
 
 
@@ -307,7 +300,7 @@ HOSTILE = {
     "lzma.npz": changed(GOOD, 8, b"\x0e\x00"),
     "cut.npz": GOOD[:-40],
     "torn.npz": GOOD[:200] + bytes(64) + GOOD[264:],
-    "promising.npz": promising(),
+    "promising.npz": zeros(1 << 50),
     "quote.csv": b'x,y,z\n1,"1,0\n1,1,0\n',
     "quotes.csv": b'x,y,z\n1,"1""\n2",0\n',
     "head.csv": b'"x,y,z\n1,1,0\n',
@@ -335,7 +328,7 @@ def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, caps
 
 @pytest.mark.slow  # writes and packs 1.5 GB
 def test_an_archive_that_grows_without_measure_is_refused(tmp_path, capsys):
-    (tmp_path / "bomb.npz").write_bytes(bomb())
+    (tmp_path / "bomb.npz").write_bytes(zeros(1 << 26, 1536, zipfile.ZIP_DEFLATED))
     assert main(["solve", ARM, "--targets", str(tmp_path / "bomb.npz"), "-o", str(tmp_path / "out.csv")]) == 2
     assert "unpacks to 1.6 GB" in capsys.readouterr().err
 
