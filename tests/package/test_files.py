@@ -330,7 +330,7 @@ def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, caps
 def test_an_archive_that_grows_without_measure_is_refused(tmp_path, capsys):
     (tmp_path / "bomb.npz").write_bytes(zeros(1 << 26, 1536, zipfile.ZIP_DEFLATED))
     assert main(["solve", ARM, "--targets", str(tmp_path / "bomb.npz"), "-o", str(tmp_path / "out.csv")]) == 2
-    assert "unpacks to 1.6 GB" in capsys.readouterr().err
+    assert "unpacks to 1,610.6 MB" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------------------------------------------------ the terminal
