@@ -116,17 +116,6 @@ def test_without_the_data_wheel(monkeypatch):
     assert [entry.name for entry in list_robots()] == NAMES
 
 
-@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
-@pytest.mark.parametrize("name", list(DATA_ROBOTS))
-def test_data_robots_have_their_tips(name):
-    path, folders = example_robot_data(name)
-    model = pin.buildModelFromUrdf(str(path), True)
-    for tip in DATA_ROBOTS[name][1]:
-        assert model.existBodyName(tip) and model.frames[model.getFrameId(tip, pin.BODY)].parentJoint > 0
-    assert (folders[0] / "example-robot-data").is_dir()
-    assert find(name).path == path
-
-
 def test_data_robots_are_listed():
     if have_data():
         assert [entry.name for entry in list_robots()] == [*NAMES, *DATA_ROBOTS]

@@ -4,7 +4,7 @@ import json
 import logging
 
 import pytest
-from robots import branches, joint
+from robots import branches, have_data, joint
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
@@ -14,10 +14,10 @@ from ik_toolkit.robot.load import read_source
 from ik_toolkit.robot.tips import guess_tip, words
 
 
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize("name", DATA_ROBOTS)
 def test_tips_of_example_robot_data_are_guessed(name):
     """The rows of the library name their tips by hand; the guess knows nothing of them."""
-    pytest.importorskip("yourdfpy")
     entry = find(name)
     assert guess_tip(read_source(str(entry.path), ())[1]["model"]).tips == entry.tips
 
