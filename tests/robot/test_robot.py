@@ -156,23 +156,10 @@ def test_tool_moves_the_tip():
     assert result.success
 
 
-@pytest.mark.parametrize(
-    ("source", "error"),
-    [
-        ("hydrolek", errors.RobotNotFound),
-        ("/nowhere/robot.urdf", errors.RobotNotFound),
-        ("<robot", errors.ModelError),
-        (robots.urdf(dict(kind="fixed")), errors.ModelError),
-        (robots.urdf(dict(kind="floating")), errors.ModelError),
-        (robots.urdf(dict(kind="revolute", axis="0 0 0")), errors.ModelError),
-        (robots.urdf(dict(kind="revolute", limits=(1, -1))), errors.ModelError),
-    ],
-)
-def test_what_cannot_be_loaded_says_so(source, error):
-    with pytest.raises(error) as caught:
-        ik.Robot.load(source)
-    assert 20 < len(str(caught.value)) < 900
-    assert isinstance(caught.value, ik.IKError)
+@pytest.mark.parametrize("kind", ["fixed", "floating"])
+def test_a_robot_without_a_joint_to_move_is_refused(kind):
+    with pytest.raises(errors.ModelError, match="no mov(able|ing) joint.*: nothing to solve"):
+        ik.Robot.load(robots.urdf(dict(kind=kind)))
 
 
 def test_wrong_configurations_are_refused():
