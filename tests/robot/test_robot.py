@@ -158,7 +158,7 @@ def test_tool_moves_the_tip():
 
 @pytest.mark.parametrize("kind", ["fixed", "floating"])
 def test_a_robot_without_a_joint_to_move_is_refused(kind):
-    with pytest.raises(errors.ModelError, match="no mov(able|ing) joint.*: nothing to solve"):
+    with pytest.raises(errors.ModelError, match=r"no mov(able|ing) joint.*: nothing to solve"):
         ik.Robot.load(robots.urdf(dict(kind=kind)))
 
 
