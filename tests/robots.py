@@ -43,12 +43,32 @@ def joint(name, kind, parent, child, axis="0 0 1", xyz="0 0 0.2", rpy="0 0 0", l
     )
 
 
+def tie(leader, ratio=1, offset=0):
+    """Return the <mimic> of a joint that is ratio times another plus offset."""
+    return f'<mimic joint="{leader}" multiplier="{ratio}" offset="{offset}"/>'
+
+
+def branches(*joints, root="o", name="r"):
+    """Return a URDF of joints as `joint` writes them, in any order, and of the link at their root."""
+    return f'<robot name="{name}"><link name="{root}"/>{"".join(joints)}</robot>'
+
+
 def urdf(*joints, name="test"):
     """Return a URDF of chained joints given as dicts for `joint` (parents and children are filled in)."""
-    text = f'<robot name="{name}"><link name="l0"/>'
-    for i, keywords in enumerate(joints):
-        text += joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}", **keywords)
-    return text + "</robot>"
+    chained = (joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}", **keywords) for i, keywords in enumerate(joints))
+    return branches(*chained, root="l0", name=name)
+
+
+def filled(text, contents):
+    """Return a URDF with something inside links that were empty: text by link."""
+    for link, inside in contents.items():
+        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{inside}</link>')
+    return text
+
+
+def ball(radius):
+    """Return a sphere as a link's shape for collisions."""
+    return f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
 
 
 CONTINUOUS = urdf(
@@ -63,11 +83,9 @@ CONTINUOUS = urdf(
 MIMIC = urdf(
     dict(kind="revolute"),
     dict(kind="revolute", axis="0 1 0", xyz=".1 0 .2"),
-    dict(kind="revolute", axis="0 1 0", limits=(-1.0, 1.0), mimic='<mimic joint="j1" multiplier="-0.6" offset="0.2"/>'),
+    dict(kind="revolute", axis="0 1 0", limits=(-1.0, 1.0), mimic=tie("j1", -0.6, 0.2)),
     dict(kind="revolute", axis="1 0 0", rpy="0 .3 0"),
-    dict(
-        kind="prismatic", axis="1 0 0", limits=(-0.3, 0.3), mimic='<mimic joint="j0" multiplier="0.1" offset="0.05"/>'
-    ),
+    dict(kind="prismatic", axis="1 0 0", limits=(-0.3, 0.3), mimic=tie("j0", 0.1, 0.05)),
     dict(kind="revolute", axis="0 1 1", rpy=".7 0 0"),
     dict(kind="revolute", rpy="0 0 .4"),
     dict(kind="revolute", axis="0 1 0", rpy=".2 0 1"),
@@ -90,12 +108,8 @@ FORK = (  # two arms of a joint each
     + joint("jc", "revolute", "a", "c", xyz="1 0 0", limits=(-1.0, 1.0))
     + "</robot>"
 )
-BALLS_MIMIC = MIMIC  # with a ball on each link
-for _k, _radius in enumerate((0.05, 0.05, 0.08, 0.06, 0.05, 0.04, 0.05, 0.04, 0.05)):
-    BALLS_MIMIC = BALLS_MIMIC.replace(
-        f'<link name="l{_k}"/>',
-        f'<link name="l{_k}"><collision><geometry><sphere radius="{_radius}"/></geometry></collision></link>',
-    )
+RADII = (0.05, 0.05, 0.08, 0.06, 0.05, 0.04, 0.05, 0.04, 0.05)
+BALLS_MIMIC = filled(MIMIC, {f"l{k}": ball(radius) for k, radius in enumerate(RADII)})
 MADE = {"continuous_mix": CONTINUOUS, "mimic_mix": MIMIC, "slides_mix": SLIDES}
 
 

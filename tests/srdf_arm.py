@@ -1,11 +1,9 @@
 """An arm made of spheres, its SRDF, and another arm whose spheres touch always, sometimes and never."""
 
-from robots import urdf
+from robots import ball, filled, urdf
 
 ARM = urdf(*[dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3", limits=(-1.5, 1.5))] * 5, name="arm")
-BALL = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
-for _k in range(6):
-    ARM = ARM.replace(f'<link name="l{_k}"/>', f'<link name="l{_k}">{BALL}</link>')
+ARM = filled(ARM, {f"l{k}": ball(0.05) for k in range(6)})
 SRDF = """<robot name="arm">
   <group name="upper"><chain base_link="l1" tip_link="l4"/></group>
   <group name="listed"><joint name="j0"/><joint name="j1"/><joint name="j2"/></group>
@@ -23,7 +21,4 @@ SRDF = """<robot name="arm">
 SAMPLED = urdf(
     *[dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3", limits=(-2.5, 2.5))] * 4, name="balls &amp; &lt;sticks&gt;"
 )
-for _k, _radius in enumerate((0.05, 0.05, 0.4, 0.05, 0.32)):
-    SAMPLED = SAMPLED.replace(
-        f'<link name="l{_k}"/>', f'<link name="l{_k}">{BALL.replace("0.05", str(_radius))}</link>'
-    )
+SAMPLED = filled(SAMPLED, {f"l{k}": ball(radius) for k, radius in enumerate((0.05, 0.05, 0.4, 0.05, 0.32))})

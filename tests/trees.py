@@ -23,7 +23,7 @@ def mixed(size=1.0):
     left = [
         ("revolute", "0 0 1", ""),
         ("revolute", "0 1 0", ""),
-        ("prismatic", "1 0 0", f'<mimic joint="turn" multiplier="{0.05 * size}" offset="{0.02 * size}"/>'),
+        ("prismatic", "1 0 0", robots.tie("turn", 0.05 * size, 0.02 * size)),
         ("prismatic", "1 0 0", ""),
         ("revolute", "1 0 0", ""),
         ("continuous", "0 1 0", ""),
@@ -32,7 +32,7 @@ def mixed(size=1.0):
     right = [
         ("revolute", "0 1 0", ""),
         ("revolute", "0 0 1", ""),
-        ("revolute", "0 1 0", f'<mimic joint="lift" multiplier="{0.8 / size}" offset="0.1"/>'),
+        ("revolute", "0 1 0", robots.tie("lift", 0.8 / size, 0.1)),
         ("revolute", "1 0 0", ""),
         ("revolute", "0 1 0", ""),
         ("revolute", "1 0 0", ""),
@@ -40,7 +40,7 @@ def mixed(size=1.0):
     ]
     torso = robots.joint("turn", "revolute", "base", "turning", limits=(-2.0, 2.0), xyz=f"0 0 {0.2 * size}")
     torso += robots.joint("lift", "prismatic", "turning", "chest", limits=(0.0, 0.4 * size), xyz=f"0 0 {0.2 * size}")
-    return f'<robot name="mixed"><link name="base"/>{torso}{arm("left", 0.2, left)}{arm("right", -0.2, right)}</robot>'
+    return robots.branches(torso, arm("left", 0.2, left), arm("right", -0.2, right), root="base", name="mixed")
 
 
 TREES = {

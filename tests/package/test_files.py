@@ -13,6 +13,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from robots import branches, joint
 
 from ik_toolkit import files
 from ik_toolkit.cli import main
@@ -22,6 +23,27 @@ from ik_toolkit.robot.library import find
 
 ARM = "planar_2r"
 OLD = "what was here before\n"
+
+
+@pytest.fixture
+def out(tmp_path):
+    """A file that was there before."""
+    path = tmp_path / "out.csv"
+    path.write_text(OLD)
+    return path
+
+
+def targets(folder, count=20):
+    """A file of so many targets."""
+    np.savez(folder / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (count, 1)))
+    return str(folder / "in.npz")
+
+
+def check_partial(out, said):
+    """The old file is as it was, and whole rows lie in another beside it."""
+    assert out.read_text() == OLD
+    rows = out.with_name("out.csv.partial").read_text().splitlines()
+    assert f"the first {len(rows) - 1} solutions" in said and {row.count(",") for row in rows} == {rows[0].count(",")}
 
 
 # ------------------------------------------------------------------------------------------------------------ the writer
@@ -52,24 +74,20 @@ def fail_at(monkeypatch, call, error):
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
 @pytest.mark.parametrize("call", ["write", "fsync", "replace"])
-def test_a_fault_at_any_step_leaves_the_file_that_was_there(tmp_path, monkeypatch, call, error):
-    path = tmp_path / "out.json"
-    path.write_text(OLD)
+def test_a_fault_at_any_step_leaves_the_file_that_was_there(tmp_path, monkeypatch, out, call, error):
     fail_at(monkeypatch, call, error)
     with pytest.raises(OSError) as raised:
-        write_whole(path, "new")
-    assert raised.value.errno == error and raised.value.filename == str(path)
-    assert path.read_text() == OLD and os.listdir(tmp_path) == ["out.json"]
+        write_whole(out, "new")
+    assert raised.value.errno == error and raised.value.filename == str(out)
+    assert out.read_text() == OLD and os.listdir(tmp_path) == ["out.csv"]
 
 
 @pytest.mark.parametrize("mistake", [KeyboardInterrupt, InvalidOption, SystemExit])
-def test_what_raises_inside_leaves_the_file_that_was_there(tmp_path, mistake):
-    path = tmp_path / "out.npz"
-    path.write_text(OLD)
-    with pytest.raises(mistake), whole_file(path) as stream:
+def test_what_raises_inside_leaves_the_file_that_was_there(tmp_path, out, mistake):
+    with pytest.raises(mistake), whole_file(out) as stream:
         stream.write(b"half")
         raise mistake("no")
-    assert path.read_text() == OLD and os.listdir(tmp_path) == ["out.npz"]
+    assert out.read_text() == OLD and os.listdir(tmp_path) == ["out.csv"]
 
 
 def test_links_modes_and_devices_are_respected(tmp_path):
@@ -97,29 +115,26 @@ def test_a_place_that_cannot_be_written_is_named_as_it_was_given(tmp_path, capsy
         assert place in said.replace("\n", "") and ".part" not in said
 
 
-def test_what_is_kept_ends_at_the_last_mark(tmp_path):
-    path = tmp_path / "out.csv"
-    path.write_text(OLD)
-    file = WholeFile(path)
+def test_what_is_kept_ends_at_the_last_mark(tmp_path, out):
+    file = WholeFile(out)
     file.write("a,b\n1,2\n")
     file.stream.write(b"3,")  # torn
     kept = file.keep(".partial")
-    assert kept == tmp_path / "out.csv.partial" and kept.read_text() == "a,b\n1,2\n" and path.read_text() == OLD
-    file = WholeFile(path)
-    assert file.keep(".other") is None
+    assert kept == tmp_path / "out.csv.partial" and kept.read_text() == "a,b\n1,2\n" and out.read_text() == OLD
+    assert WholeFile(out).keep(".other") is None
     assert sorted(os.listdir(tmp_path)) == ["out.csv", "out.csv.partial"]
 
 
 # ------------------------------------------------------------------------------------------------- outputs of the commands
 def writers(folder):
     """Command lines that write a file, and the file."""
-    np.savez(folder / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
+    many = ["solve", ARM, "--targets", targets(folder), "-o"]
     shutil.copy(find(ARM).dh_file, folder / "dh.toml")
     shape = ["--duration", "0.2", "--position-only", "--radius", "0.1"]
     return {
         "solve.json": ["solve", ARM, "--xyz", "1", "1", "0", "-o"],
-        "batch.csv": ["solve", ARM, "--targets", str(folder / "in.npz"), "-o"],
-        "batch.npz": ["solve", ARM, "--targets", str(folder / "in.npz"), "-o"],
+        "batch.csv": many,
+        "batch.npz": many,
         "dh.urdf": ["dh", str(folder / "dh.toml"), "-o"],
         "track.csv": ["track", ARM, *shape, "-o"],
         "track.npz": ["track", ARM, *shape, "-o"],
@@ -165,31 +180,20 @@ def test_a_target_that_is_nan_does_not_cost_the_old_file(tmp_path, capsys, suffi
     assert "7" in capsys.readouterr().err and out.read_text() == OLD
 
 
-def test_a_bad_line_late_in_a_file_keeps_the_solutions_before_it_apart(tmp_path, capsys):
-    out = tmp_path / "out.csv"
-    out.write_text(OLD)
+def test_a_bad_line_late_in_a_file_keeps_the_solutions_before_it_apart(tmp_path, capsys, out):
     (tmp_path / "in.csv").write_text("x,y,z\n" + "1,1,0\n" * 40000 + "1,nan,0\n")
     assert main(["solve", ARM, "--targets", str(tmp_path / "in.csv"), "-o", str(out)]) == 2
     said = capsys.readouterr().err
-    assert "line 40002" in said and f"{out}.partial" in said and out.read_text() == OLD
-    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
-    assert f"the first {len(rows) - 1} solutions" in said and {row.count(",") for row in rows} == {rows[0].count(",")}
+    assert "line 40002" in said and f"{out}.partial" in said
+    check_partial(out, said)
 
 
-def test_targets_under_another_name_are_not_overwritten(tmp_path, capsys):
-    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
-    before = (tmp_path / "in.npz").read_bytes()
-    os.link(tmp_path / "in.npz", tmp_path / "hard.npz")
-    (tmp_path / "soft.npz").symlink_to("in.npz")
-    for name in ("hard.npz", "soft.npz"):
-        assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(tmp_path / name)]) == 2
-        assert "overwrite" in capsys.readouterr().err
-    assert (tmp_path / "in.npz").read_bytes() == before
-
-
-def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, capsys):
+def test_what_is_read_is_not_overwritten_under_another_name(tmp_path, capsys):
     arm, table, path = tmp_path / "arm.urdf", tmp_path / "dh.toml", tmp_path / "way.csv"
     arm.write_text(find(ARM).source.read_text())
+    batch = ["solve", ARM, "--targets", targets(tmp_path)]
+    os.link(tmp_path / "in.npz", tmp_path / "hard.npz")
+    (tmp_path / "soft.npz").symlink_to("in.npz")
     table.write_text("no table")
     os.link(table, tmp_path / "table.toml")
     path.write_text("t,x,y,z\n0,1,1,0\n1,1,1.1,0\n")
@@ -200,6 +204,7 @@ def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, caps
     for words in (
         *([*solve, "-o", str(tmp_path / name)] for name in ("hard.json", "soft.json")),
         ["solve", "-o", f"{tmp_path}/./hard.json", *solve[1:]],
+        *([*batch, "-o", str(tmp_path / name)] for name in ("hard.npz", "soft.npz")),
         ["workspace", str(arm), "-n", "3", "-o", str(tmp_path / "soft.json")],
         ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(tmp_path / "hard.json")],
         ["convert", str(arm), "-o", str(arm)],
@@ -219,50 +224,34 @@ def test_a_full_disk_names_the_file_of_arrays(tmp_path, capsys, monkeypatch):
     def fail(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as numpy does, which writes to a stream
 
-    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (3, 1)))
+    words, out = ["solve", ARM, "--targets", targets(tmp_path, 3), "-o"], str(tmp_path / "out.npz")
     monkeypatch.setattr(np, "savez", fail)
-    out = tmp_path / "out.npz"
-    assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(out)]) == 2
-    assert str(out) in capsys.readouterr().err and os.listdir(tmp_path) == ["in.npz"]
+    assert main([*words, out]) == 2
+    assert out in capsys.readouterr().err and os.listdir(tmp_path) == ["in.npz"]
 
 
-def ik_process(words, **options):
-    return subprocess.Popen(
-        [sys.executable, "-m", "ik_toolkit", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        **options,
-    )  # fmt: skip
-
-
-def test_sigterm_keeps_what_is_finished_apart(tmp_path):
-    out = tmp_path / "out.csv"
-    out.write_text(OLD)
-    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (1_000_000, 1)))
-    with ik_process(["solve", ARM, "--targets", tmp_path / "in.npz", "-s", "planar-2r", "-o", out]) as process:
+def test_sigterm_keeps_what_is_finished_apart(tmp_path, out):
+    words = ["solve", ARM, "--targets", targets(tmp_path, 1_000_000), "-s", "planar-2r", "-o", str(out)]
+    with subprocess.Popen([sys.executable, "-m", "ik_toolkit", *words], stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and not any(p.stat().st_size > 0 for p in tmp_path.glob("out.csv.*.part")):
             time.sleep(0.01)
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 143 and "ik: terminated" in said, said
-    assert out.read_text() == OLD
-    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
-    assert f"the first {len(rows) - 1} solutions are in {out}.partial" in said
+    check_partial(out, said)
+    assert f" solutions are in {out}.partial" in said
     assert sorted(os.listdir(tmp_path)) == ["in.npz", "out.csv", "out.csv.partial"]
 
 
-def test_a_real_limit_on_the_size_of_files(tmp_path):
-    out = tmp_path / "out.csv"
-    out.write_text(OLD)
-    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20000, 1)))
+def test_a_real_limit_on_the_size_of_files(tmp_path, out):
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (10**6, 10**6))\n"
         "from ik_toolkit.cli import main; sys.exit(main())"
     )
-    words = ["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-s", "planar-2r", "-o", str(out)]
+    words = ["solve", ARM, "--targets", targets(tmp_path, 20_000), "-s", "planar-2r", "-o", str(out)]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and "too large" in done.stderr and str(out) in done.stderr, done.stderr
-    assert out.read_text() == OLD
-    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
-    assert len({row.count(",") for row in rows}) == 1 and f"the first {len(rows) - 1} solutions" in done.stderr
+    check_partial(out, done.stderr)
 
 
 # ------------------------------------------------------------------------------------------------------- hostile targets
@@ -281,20 +270,13 @@ def changed(data, at, value):
     return bytes(data)
 
 
-def bomb():
-    """A gigabyte and a half of zeros in a megabyte and a half."""
+def zeros(rows, megabytes=0, packing=zipfile.ZIP_STORED):
+    """An archive that promises so many rows of zeros, and holds so much of them."""
     data = io.BytesIO()
-    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("targets.npy", "w") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 26, 3)})
-        for _ in range(1536):
+    with zipfile.ZipFile(data, "w", packing) as archive, archive.open("targets.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (rows, 3)})
+        for _ in range(megabytes):
             stream.write(bytes(1 << 20))
-    return data.getvalue()
-
-
-def promising():
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive, archive.open("targets.npy", "w") as stream:
-        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50, 3)})
     return data.getvalue()
 
 
@@ -314,7 +296,7 @@ HOSTILE = {
     "lzma.npz": changed(GOOD, 8, b"\x0e\x00"),
     "cut.npz": GOOD[:-40],
     "torn.npz": GOOD[:200] + bytes(64) + GOOD[264:],
-    "promising.npz": promising(),
+    "promising.npz": zeros(1 << 50),
     "quote.csv": b'x,y,z\n1,"1,0\n1,1,0\n',
     "quotes.csv": b'x,y,z\n1,"1""\n2",0\n',
     "head.csv": b'"x,y,z\n1,1,0\n',
@@ -329,10 +311,9 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, capsys, name):
-    path, out = tmp_path / name, tmp_path / "out.csv"
+def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, capsys, out, name):
+    path = tmp_path / name
     path.write_bytes(HOSTILE[name])
-    out.write_text(OLD)
     assert main(["solve", ARM, "--targets", str(path), "-o", str(out)]) == 2
     said = capsys.readouterr().err
     assert name in said or "targets" in said
@@ -342,9 +323,9 @@ def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, caps
 
 @pytest.mark.slow  # writes and packs 1.5 GB
 def test_an_archive_that_grows_without_measure_is_refused(tmp_path, capsys):
-    (tmp_path / "bomb.npz").write_bytes(bomb())
+    (tmp_path / "bomb.npz").write_bytes(zeros(1 << 26, 1536, zipfile.ZIP_DEFLATED))
     assert main(["solve", ARM, "--targets", str(tmp_path / "bomb.npz"), "-o", str(tmp_path / "out.csv")]) == 2
-    assert "unpacks to 1.6 GB" in capsys.readouterr().err
+    assert "unpacks to 1,610.6 MB" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------------------------------------------------ the terminal
@@ -360,13 +341,8 @@ def test_clean_leaves_text_alone_and_escapes_controls():
 
 def test_names_from_a_file_do_not_act_on_the_terminal(tmp_path, capsys, monkeypatch):
     evil = "\u009b31m\u202ejoint\u2066"  # XML holds no ESC, but these
-    urdf = (
-        f'<robot name="{evil}"><link name="base"/><link name="{evil}tip"/><joint name="{evil}" type="revolute">'
-        f'<parent link="base"/><child link="{evil}tip"/><axis xyz="0 0 1"/><origin xyz="1 0 0"/>'
-        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
-    )
     path = tmp_path / f"{evil}.urdf"
-    path.write_text(urdf, encoding="utf-8")
+    path.write_text(branches(joint(evil, "revolute", "o", f"{evil}tip", xyz="1 0 0"), name=evil), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     for words in (
         ["info"], ["fk"], ["check"], ["fk", "--q", "9"], ["fk", "--q", "1", "2"], ["solve", "--xyz", "1", "0", "0"],
@@ -381,14 +357,11 @@ def test_names_from_a_file_do_not_act_on_the_terminal(tmp_path, capsys, monkeypa
 
 
 def test_closed_and_full_streams_are_no_bug():
-    for close in (">&-", "2>&- <&-"):
-        line = f"{sys.executable} -m ik_toolkit robots {close}"
+    for stream, code, said in ((">&-", 0, ""), ("2>&- <&-", 0, ""), ("> /dev/full", 2, "No space left")):
+        line = f"{sys.executable} -m ik_toolkit robots {stream}"
         done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
-        assert done.returncode == 0 and "bug" not in done.stderr and "Traceback" not in done.stderr, (close, done)
-    done = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m ik_toolkit robots > /dev/full"], capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 2 and "No space left" in done.stderr and "bug" not in done.stderr
+        assert done.returncode == code and said in done.stderr, (stream, done)
+        assert "bug" not in done.stderr and "Traceback" not in done.stderr, (stream, done)
 
 
 def test_no_goals_is_a_mistake_with_a_name(capsys):

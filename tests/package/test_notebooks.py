@@ -29,25 +29,16 @@ def test_committed_small_and_executed(path):
     sources = ["".join(cell["source"]) for cell in code]
     scenes = [cell for cell, text in zip(code, sources, strict=True) if "ik.view(" in text or "ik.interact(" in text]
     assert scenes, "no 3-D scene"
-    # sliders of motions
-    moved = (
-        "ik.interact(",
-        ".page()",
-        "live=True",
-        "ik.view(robot, runs",
-        "ik.view(robot, trajectory",
-        "ik.view(robot, found",
-    )
+    sliders = ("ik.view(robot, runs", "ik.view(robot, trajectory", "ik.view(robot, found")
+    moved = ("ik.interact(", ".page()", "live=True", *sliders)
     assert any(word in text for text in sources for word in moved), "nothing to drag or slide"
     drawn = [cell for cell in scenes if any("image/png" in output.get("data", {}) for output in cell["outputs"])]
     assert len(drawn) == len(scenes), "a scene without a picture"
     texts = ["".join(data.get("text/plain", "")) for data in shown if not {"image/png", "text/html"} & data.keys()]
-    assert not [
-        text for text in texts if re.search(r"<[\w. ]+ (?:at 0x|object)|^\[<|^\[?(?:SE3|Solutions|Text)\(", text)
-    ], "a leaked repr"
-    titles = [
-        line for cell in cells if cell["cell_type"] == "markdown" for line in "".join(cell["source"]).splitlines()
-    ]
+    leaked = re.compile(r"<[\w. ]+ (?:at 0x|object)|^\[<|^\[?(?:SE3|Solutions|Text)\(")
+    assert not [text for text in texts if leaked.search(text)], "a leaked repr"
+    prose = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
+    titles = [line for text in prose for line in text.splitlines()]
     assert titles.count("## Exercise") == 1 and titles.count("## Answer") == 1
 
 

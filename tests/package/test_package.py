@@ -15,18 +15,8 @@ from ik_toolkit.cli import MODULES, main
 from ik_toolkit.solvers.rows import ROWS
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-HEAVY = {
-    "matplotlib",
-    "meshcat",
-    "viser",
-    "trimesh",
-    "yourdfpy",
-    "dask",
-    "distributed",
-    "cma",
-    "sympy",
-    "scipy.optimize",
-}  # numba looks at scipy itself
+# numba looks at scipy itself
+HEAVY = set("matplotlib meshcat viser trimesh yourdfpy dask distributed cma sympy scipy.optimize".split())
 
 
 def blocks(language):

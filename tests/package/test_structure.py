@@ -68,19 +68,15 @@ def test_no_file_and_no_function_is_too_long_to_read():
 
 def test_parts_of_kernels_make_no_arrays():
     """They borrow what they are given (see compile/jit.py): one that made an array left other kernels a damaged heap."""
-    makers = {
-        f"np.{name}"
-        for name in ("empty", "zeros", "ones", "full", "array", "arange", "linspace", "empty_like", "zeros_like")
-    }
+    names = "empty zeros ones full array arange linspace empty_like zeros_like".split()
+    makers = {f"np.{name}" for name in names}
     parts: dict[str, list] = {}
     for path in PACKAGE.rglob("*.py"):
         for node in statements(parsed(path)):
             names = [ast.unparse(one) for one in getattr(node, "decorator_list", [])]
+            methods = [one for one in getattr(node, "body", []) if isinstance(one, ast.FunctionDef)]
             for name in names:
-                methods = (
-                    [one for one in node.body if isinstance(one, ast.FunctionDef)] if name == "compiled" else [node]
-                )
-                parts.setdefault(name, []).extend(methods)
+                parts.setdefault(name, []).extend(methods if name == "compiled" else [node])
     counting = {function.name for function in parts["build"]}
     counting |= {
         f.name

@@ -20,12 +20,8 @@ def test_every_option_is_told_and_no_parameter_that_no_solver_has():
 
 @pytest.mark.parametrize(
     ("call", "told"),
-    [
-        (ik.solve, SolveOptions),
-        (ik.Solver.__init__, SolveOptions),
-        (ik.solve_all, AllOptions),
-        (ik.solve_batch, BatchOptions),
-    ],
+    [(call, SolveOptions) for call in (ik.solve, ik.Solver.__init__)]
+    + [(ik.solve_all, AllOptions), (ik.solve_batch, BatchOptions)],
 )
 def test_the_calls_take_what_is_told(call, told):
     assert call.__annotations__["options"] == typing.Unpack[told]

@@ -6,25 +6,26 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import joint, load
+from robots import branches, filled, joint, load
 
 import ik_toolkit as ik
 from ik_toolkit import cli
 from ik_toolkit.errors import InvalidOption, InvalidTarget, ModelError
 
 ARM = "hydrolek_7w"
-PLANAR, FLOATING = (
-    ("base_x", "base_y", "base_yaw"),
-    ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll"),
-)
-BODY = '<robot name="legs"><link name="body"/>'
-for _leg in ("left", "right"):
-    BODY += joint(
-        f"{_leg}_hip", "revolute", "body", f"{_leg}_thigh", "1 0 0", "0 0.1 0" if _leg == "left" else "0 -0.1 0"
+PLANAR = ("base_x", "base_y", "base_yaw")
+FLOATING = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
+
+
+def leg(side, y):
+    return (
+        joint(f"{side}_hip", "revolute", "body", f"{side}_thigh", "1 0 0", f"0 {y} 0")
+        + joint(f"{side}_knee", "revolute", f"{side}_thigh", f"{side}_shank", "0 1 0", "0 0 -0.3")
+        + joint(f"{side}_sole", "fixed", f"{side}_shank", f"{side}_foot", xyz="0 0 -0.3")
     )
-    BODY += joint(f"{_leg}_knee", "revolute", f"{_leg}_thigh", f"{_leg}_shank", "0 1 0", "0 0 -0.3")
-    BODY += joint(f"{_leg}_sole", "fixed", f"{_leg}_shank", f"{_leg}_foot", xyz="0 0 -0.3")
-BODY += "</robot>"
+
+
+BODY = branches(leg("left", 0.1), leg("right", -0.1), root="body", name="legs")
 FEET = ("left_foot", "right_foot")
 
 
@@ -33,6 +34,18 @@ def solved(robot, count, seed=0, **options):
     rng = np.random.default_rng(seed)
     results = [ik.solve(robot, robot.fk(robot.random_q(rng)), seed=k, **options) for k in range(count)]
     return sum(result.success for result in results)
+
+
+def check_fk(robot, model, count):
+    """Random q and back, and the tip where Pinocchio has it in the model that was given."""
+    data = model.createData()
+    for q in robot.random_q(np.random.default_rng(2), count):
+        full = robot.to_pinocchio(q)
+        assert full.shape == (model.nq,) and pin.isNormalized(model, full, 1e-9)
+        pin.framesForwardKinematics(model, data, full)
+        found = data.oMf[model.getFrameId(robot.tip)].homogeneous
+        assert np.abs(found - robot.fk(q).homogeneous).max() < 1e-12
+        assert np.allclose(robot.fk(robot.q_from_pinocchio(full)).homogeneous, found, atol=1e-9)
 
 
 def test_a_pose_moves_the_robot_in_the_world():
@@ -53,10 +66,8 @@ def test_a_base_is_ordinary_joints_before_the_others(kind, names):
     assert np.array_equal(robot.home[count:], plain.home) and np.array_equal(robot.lower[count:], plain.lower)
     slides = [name[-1] in "xyz" for name in names]
     assert (robot.lower[:count][slides] == -0.5).all() and (robot.upper[:count][slides] == 2.0).all()
-    assert (
-        np.isinf(robot.upper[names.index("base_yaw")])
-        and robot.joint_kinds[count - 1 if count == 3 else 3] == "continuous"
-    )
+    yaw = names.index("base_yaw")
+    assert np.isinf(robot.upper[yaw]) and robot.joint_kinds[yaw] == "continuous"
     if kind == "floating":
         assert np.degrees(robot.upper[4]) == pytest.approx(85.0) and np.isinf(robot.lower[5])
     q = robot.random_q(np.random.default_rng(1))
@@ -98,11 +109,7 @@ def test_forms_of_limits(limits, lower):
         ({"on_base": "plane"}, InvalidOption, "Did you mean 'planar'"),
         ({"base_limits": (0, 1)}, InvalidOption, "for a moving base"),
         ({"on_base": np.eye(4), "base_limits": (0, 1)}, InvalidOption, "for a moving base"),
-        (
-            {"on_base": "planar", "base_limits": (1, 0)},
-            InvalidOption,
-            "base_limits of 'base_x' must be two finite numbers",
-        ),
+        ({"on_base": "planar", "base_limits": (1, 0)}, InvalidOption, "of 'base_x' must be two finite numbers"),
         ({"on_base": "planar", "base_limits": (0, np.inf)}, InvalidOption, "two finite numbers"),
         ({"on_base": "planar", "base_limits": {"base_z": (0, 1)}}, InvalidOption, "no coordinate 'base_z'"),
         ({"on_base": "planar", "base_limits": "far"}, InvalidOption, "for the prismatic joints of the base"),
@@ -116,9 +123,8 @@ def test_mistakes(options, error, said):
 
 
 def test_names_that_a_robot_has_already():
-    text = '<robot name="r"><link name="a"/>' + joint("base_x", "prismatic", "a", "b") + "</robot>"
     with pytest.raises(InvalidOption, match="already has a joint 'base_x'"):
-        ik.Robot.load(text, on_base="planar", base_limits=(0, 1))
+        ik.Robot.load(branches(joint("base_x", "prismatic", "o", "a")), on_base="planar", base_limits=(0, 1))
 
 
 @pytest.mark.parametrize("flyer", [pin.JointModelFreeFlyer, pin.JointModelPlanar])
@@ -128,16 +134,9 @@ def test_a_free_flyer_of_a_given_model_is_solved_for(flyer):
         ik.Robot(model, tip="left_foot")
     robot = ik.Robot(model, tip="left_foot", base_limits=(-1, 1))
     assert robot.joint_names[:3] == ("base_x", "base_y", "base_z" if flyer is pin.JointModelFreeFlyer else "base_yaw")
-    data, rng = model.createData(), np.random.default_rng(2)
-    for _ in range(20):
-        q = robot.random_q(rng)
-        full = robot.to_pinocchio(q)
-        assert full.shape == (model.nq,) and np.allclose(pin.normalize(model, full), full, atol=1e-12)
-        pin.framesForwardKinematics(model, data, full)
-        assert np.allclose(data.oMf[model.getFrameId("left_foot")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
-        back = robot.fk(robot.q_from_pinocchio(full)).homogeneous
-        assert np.allclose(back, robot.fk(q).homogeneous, atol=1e-9)
-    assert robot.to_pinocchio(robot.home, rest=full).shape == full.shape
+    check_fk(robot, model, 20)
+    rest = robot.to_pinocchio(robot.random_q(np.random.default_rng(3)))
+    assert robot.to_pinocchio(robot.home, rest=rest).shape == rest.shape
     still = ik.Robot(model, tip="left_foot", base="body")
     assert still.joint_names == ("left_hip", "left_knee")
     with pytest.raises(InvalidOption, match="already has a base that moves"):
@@ -151,10 +150,7 @@ def test_a_ball_is_three_revolute_joints():
     model.addFrame(pin.Frame("hand", elbow, 0, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), pin.FrameType.BODY))
     robot = ik.Robot(model, tip="hand")
     assert robot.joint_names == ("shoulder_yaw", "shoulder_pitch", "shoulder_roll", "elbow")
-    q = robot.random_q(np.random.default_rng(0))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, robot.to_pinocchio(q))
-    assert np.allclose(data.oMf[model.getFrameId("hand")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
+    check_fk(robot, model, 1)
     assert solved(robot, 20) == 20
 
 
@@ -184,8 +180,7 @@ def test_legs_together_with_a_floating_base():
 
 def test_shapes_given_for_the_model_lie_on_its_links():
     box = '<collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision>'
-    text = BODY.replace('<link name="left_shank"/>', f'<link name="left_shank">{box}</link>')
-    text = text.replace('<link name="body"/>', f'<link name="body">{box}</link>')
+    text = filled(BODY, {"left_shank": box, "body": box})
     model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
     shapes = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     robot = ik.Robot(model, tip="left_foot", base_limits=(-1, 1))
@@ -222,10 +217,7 @@ def test_mimic_joints_below_a_free_flyer():
     model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer(), True)
     robot = ik.Robot(model, tip="left_toe", base_limits=(-1, 1))
     assert robot.n == 8
-    q = robot.random_q(np.random.default_rng(0))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, robot.to_pinocchio(q))
-    assert np.allclose(data.oMf[model.getFrameId("left_toe")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
+    check_fk(robot, model, 1)
 
 
 def test_a_robot_on_a_table_in_a_shell(capsys):
@@ -250,24 +242,12 @@ def test_ball_and_continuous_joints_of_a_given_model_keep_their_form():
     """A configuration there and back: a free-flyer, a ball, a planar joint, a continuous joint and a revolute one."""
     model = pin.Model()
     parent = 0
-    kinds = (
-        pin.JointModelFreeFlyer,
-        pin.JointModelRUBZ,
-        pin.JointModelSpherical,
-        pin.JointModelRY,
-        pin.JointModelPlanar,
-    )
-    for k, kind in enumerate(kinds):
+    for k, kind in enumerate(("FreeFlyer", "RUBZ", "Spherical", "RY", "Planar")):
         at = pin.SE3(pin.exp3(np.array([0.1 * k, 0.2, -0.1])), np.array([0.1, 0.0, 0.2]))
-        parent = model.addJoint(parent, kind(), at, f"j{k}")
+        parent = model.addJoint(parent, getattr(pin, f"JointModel{kind}")(), at, f"j{k}")
         model.addJointFrame(parent, -1)
         model.addBodyFrame(f"l{k}", parent, pin.SE3.Identity(), -1)
     model.upperPositionLimit[:] = 1.0
     model.lowerPositionLimit[:] = -1.0
     robot = ik.Robot(model, tip="l4", base_limits=(-1, 1))
-    data, rng = model.createData(), np.random.default_rng(2)
-    for q in robot.random_q(rng, 20):
-        full = robot.to_pinocchio(q)
-        assert full.shape == (model.nq,) and pin.isNormalized(model, full, 1e-9)
-        pin.framesForwardKinematics(model, data, full)
-        assert np.abs(data.oMf[model.getFrameId("l4")].homogeneous - robot.fk(q).homogeneous).max() < 1e-12
+    check_fk(robot, model, 20)

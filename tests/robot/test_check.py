@@ -9,10 +9,11 @@ import pytest
 from folders import DATA
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robots import joint, tie
 
 from ik_toolkit.errors import ModelError, near_match
 from ik_toolkit.robot.formats.mimic import mimic_limits
-from ik_toolkit.robot.formats.urdf import ENDLESS, parse
+from ik_toolkit.robot.formats.urdf import parse
 from ik_toolkit.robot.formats.urdf_check import check_urdf, require_loadable, safe_read
 from ik_toolkit.robot.formats.urdf_model import build_model
 from ik_toolkit.robot.library import shipped_robots
@@ -107,9 +108,8 @@ def test_limits_that_a_controller_keeps_and_we_do_not_are_said():
     soft = '<safety_controller soft_lower_limit="{}" soft_upper_limit="{}" k_velocity="1"/>'
     for low, high, said in (("-0.5", "1", True), ("-1", "0.9", True), ("-1", "1", False), ("-2", "2", False)):
         text = chain(1).replace(LIMIT, LIMIT + soft.format(low, high))
-        assert [
-            f"soft limits {low} to {high} are narrower than -1 to 1" in note for note in require_loadable(text)
-        ] == [True] * said
+        narrower = f"soft limits {low} to {high} are narrower than -1 to 1"
+        assert [narrower in note for note in require_loadable(text)] == [True] * said
     assert require_loadable(chain(1).replace(LIMIT, LIMIT + '<safety_controller k_velocity="1"/>')) == ()
 
 
@@ -145,10 +145,9 @@ def test_too_large_too_deep_too_many(tmp_path):
 
 
 def test_names_attributes_and_tags_are_capped():
-    two = (
-        '<link name="{0}x"/><link name="b"/><joint name="j" type="fixed"><parent link="{0}y"/><child link="b"/></joint>'
-    )
-    assert "the URDF has a name of more than 255 characters in line 1" in refusal(robot(two.format("ab" * 16_000)))
+    long = "ab" * 16_000
+    two = f'<link name="{long}x"/>' + joint("j", "fixed", f"{long}y", "b")
+    assert "the URDF has a name of more than 255 characters in line 1" in refusal(robot(two))
     many = " ".join(f'a{i}="1"' for i in range(100_000))
     for text in (f'<robot name="r" {many}/>', robot(f"<link {many}/>"), robot(f"<a {many}/>")):
         assert refusal(text).startswith("the URDF has an element with 100,00")
@@ -243,52 +242,20 @@ def test_text_and_file_give_the_same():
     assert safe_read(path) == safe_read(str(path)) == safe_read(text) == safe_read("\ufeff \n" + text)
 
 
-def test_mimic_limits():
-    text = chain(4)
-    text = text.replace('name="j1" type="revolute">', 'name="j1" type="revolute"><mimic joint="j0"/>')
-    text = text.replace(
-        'name="j2" type="revolute">', 'name="j2" type="continuous"><mimic joint="j0" multiplier="-2" offset=".5"/>'
-    )
-    assert mimic_limits(load(text)) == {
-        "j1": ("j0", 1.0, 0.0, -1.0, 1.0),
-        "j2": ("j0", -2.0, 0.5, -ENDLESS, ENDLESS),
-    }
-
-
 @pytest.mark.parametrize("name", list(shipped_robots()))
 def test_shipped_robots_have_no_findings(name):
     assert check_urdf(shipped_robots()[name].path) == []
 
 
 SEED = (CORPUS / "ok_mimic_negative.urdf").read_text()
-PIECES = [
-    "<",
-    ">",
-    '"',
-    "/>",
-    "<link/>",
-    "nan",
-    "-",
-    "1e999",
-    "&amp;",
-    "&x;",
-    "<!--",
-    "]]>",
-    "\0",
-    "joint",
-    "\ud800",
-    "",
-]
+PIECES = [*'< > " /> <link/> nan - 1e999 &amp; &x; <!-- ]]> joint'.split(), "\0", "\ud800", ""]
 
 
 def test_links_in_a_circle_with_a_mimic_joint_are_refused():
     """Following such a circle to its root once took all memory."""
-    joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/><axis xyz="0 0 1"/>{3}</joint>'
-    text = '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
-    text += joint.format("one", "a", "b", "") + joint.format("two", "b", "a", '<mimic joint="three"/>')
-    text += joint.format("three", "b", "c", "") + "</robot>"
+    ring = joint("one", "continuous", "a", "b") + joint("two", "continuous", "b", "a", mimic=tie("three"))
     with pytest.raises(ModelError):
-        require_loadable(text)
+        require_loadable(robot(ring + joint("three", "continuous", "b", "c")))
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)

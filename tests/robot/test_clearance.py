@@ -4,7 +4,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import BALLS_MIMIC, have_data, load
+from robots import BALLS_MIMIC, ball, branches, filled, have_data, joint, load, tie
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.clearance import BrakingPath, Separation, along, free_until
@@ -109,9 +109,8 @@ def test_a_mesh_with_many_corners_around_a_face(tmp_path, shape):
         faces += [(b, b + 300, a + 300) for a, b in sides]
     else:
         faces += [(a, b, top) for a, b in sides]
-    lines = ["v {:.9g} {:.9g} {:.9g}".format(*p) for p in points] + [
-        "f {} {} {}".format(*(np.add(f, 1))) for f in faces
-    ]
+    lines = ["v {:.9g} {:.9g} {:.9g}".format(*p) for p in points]
+    lines += ["f {} {} {}".format(*np.add(f, 1)) for f in faces]
     (tmp_path / "post.obj").write_text("\n".join(lines))
     robot = load("planar_2r")
     model = ik.CollisionModel(robot).add_mesh(tmp_path / "post.obj", (1.0, 0.9, 0.1), name="post")
@@ -121,13 +120,11 @@ def test_a_mesh_with_many_corners_around_a_face(tmp_path, shape):
     step = ik.Tracker(robot, q0=[0.4, 0.3], avoid_collisions=model).update(robot.fk([0.5, 0.3]).translation, 0.01)
     assert np.isfinite(step.q).all()
     pytest.importorskip("mujoco")  # it takes its meshes for convex
-    joint, geom = '<joint name="j{}" axis="0 0 1" range="-2 2"/>', '<geom type="mesh" mesh="post"/>'
-    bodies = [f'<body name="b{k}" pos="0.4 0 0">{joint.format(k)}{geom}' for k in range(3)]
-    tip = '<site name="tip" pos="0.4 0 0"/>'
-    (tmp_path / "arm.xml").write_text(
-        '<mujoco model="arm"><asset><mesh name="post" file="post.obj"/></asset><worldbody>'
-        f"{''.join(bodies)}{tip}{'</body>' * 3}</worldbody></mujoco>"
-    )
+    hinge, geom = '<joint name="j{}" axis="0 0 1" range="-2 2"/>', '<geom type="mesh" mesh="post"/>'
+    bodies = "".join(f'<body name="b{k}" pos="0.4 0 0">{hinge.format(k)}{geom}' for k in range(3))
+    bodies += '<site name="tip" pos="0.4 0 0"/>' + "</body>" * 3
+    asset = '<asset><mesh name="post" file="post.obj"/></asset>'
+    (tmp_path / "arm.xml").write_text(f'<mujoco model="arm">{asset}<worldbody>{bodies}</worldbody></mujoco>')
     arm = ik.Robot.load(tmp_path / "arm.xml", tip="tip")
     near = ik.CollisionModel(arm).distance(arm.home)
     assert near.distance == pytest.approx(0.6, abs=1e-4)  # 0.8 m between the axes of two posts of radius 0.1
@@ -294,11 +291,8 @@ def test_a_convex_hull_is_one():
     robot = load("planar_2r")
     surface = coal.BVHModelOBBRSS()
     turn = np.linspace(0.0, 1.6 * np.pi, 40)  # a hook: along its edges there is more than one furthest point
-    ring = [
-        r * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]) + np.array([0, 0, z])
-        for r, z in ((0.3, 0), (0.25, 0), (0.3, 0.1))
-    ]
-    points, faces = np.vstack(ring), []
+    around = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    points, faces = np.vstack([r * around + np.array([0, 0, z]) for r, z in ((0.3, 0), (0.25, 0), (0.3, 0.1))]), []
     for k in range(39):
         for one, two in ((0, 1), (1, 2), (2, 0)):
             a, b = 40 * one + k, 40 * two + k
@@ -309,9 +303,8 @@ def test_a_convex_hull_is_one():
     surface.addTriangles(faces)
     surface.endModel()
     geometry = pin.GeometryModel()
-    joint = robot.model.njoints - 1
-    frame = robot.model.getFrameId("link_2")
-    geometry.addGeometryObject(pin.GeometryObject("star", joint, frame, pin.SE3.Identity(), surface))
+    last, frame = robot.model.njoints - 1, robot.model.getFrameId("link_2")
+    geometry.addGeometryObject(pin.GeometryObject("star", last, frame, pin.SE3.Identity(), surface))
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(robot.home))
     tips = points[[0, 39]]
@@ -320,23 +313,21 @@ def test_a_convex_hull_is_one():
     away *= np.sign(away @ (tips[0] + tips[1]))
     for f in (0.1, 0.5, 0.9):  # in front of the mouth, which only the hull closes
         one = ik.CollisionModel(robot, geometry=geometry)
-        ball = data.oMi[joint].act(tips[0] + f * out + 0.1 * away)
+        at = data.oMi[last].act(tips[0] + f * out + 0.1 * away)
         base = pin.updateFramePlacement(robot.model, data, robot.model.getFrameId(robot.base))
-        one.add_sphere(0.01, base.actInv(ball), "ball")
+        one.add_sphere(0.01, base.actInv(at), "ball")
         (near,) = one.distances(robot.home)
         assert near.distance == pytest.approx(0.09, abs=1e-6)
 
 
 def test_obstacles_move_with_a_base_that_follows_a_joint_of_the_arm():
-    shape = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
-    parts = "".join(
-        f'<link name="{child}">{shape}</link><joint name="j_{child}" type="revolute"><parent link="{parent}"/>'
-        f'<child link="{child}"/><origin xyz="{xyz}"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/>{more}</joint>'
-        for parent, child, xyz, more in (
-            ("root", "b", "0 1 0.5", '<mimic joint="j_c"/>'), ("root", "c", "1 0 0", ""), ("c", "d", "1 0 0", ""),
-        )
-    )  # fmt: skip
-    robot = ik.Robot.load(f'<robot name="r"><link name="root">{shape}</link>{parts}</robot>', base="b", tip="d")
+    text = branches(
+        joint("j_b", "revolute", "root", "b", xyz="0 1 0.5", mimic=tie("j_c")),
+        joint("j_c", "revolute", "root", "c", xyz="1 0 0"),
+        joint("j_d", "revolute", "c", "d", xyz="1 0 0"),
+        root="root",
+    )
+    robot = ik.Robot.load(filled(text, dict.fromkeys(("root", "b", "c", "d"), ball(0.05))), base="b", tip="d")
     model = ik.CollisionModel(robot).add_sphere(0.01, (0, 0, 0), "ball")
     for q in robot.random_q(np.random.default_rng(0), 5):
         model.move("ball", robot.fk(q))

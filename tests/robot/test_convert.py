@@ -47,10 +47,8 @@ def test_meshes_are_relative_below_the_new_file_and_absolute_elsewhere(package, 
 
 def test_the_folders_that_the_meshes_of_a_written_robot_need_are_named(package, tmp_path, caplog, capsys):
     """By `ik convert`, and by `robot.write`, which calibration uses: with these folders all meshes are read, without them not."""
-    mesh = "".join(
-        f'<{kind}><geometry><mesh filename="{{{k}}}"/></geometry></{kind}>'
-        for k, kind in enumerate(("visual", "collision"))
-    )
+    shape = '<{0}><geometry><mesh filename="{{{1}}}"/></geometry></{0}>'
+    mesh = shape.format("visual", 0) + shape.format("collision", 1)
     names = "package://my_arm/meshes/look/a.stl", "package://my_arm/meshes/solid/a.stl", "package://hand/b.stl"
     for name in names:
         file = tmp_path / name.removeprefix("package://")
@@ -65,9 +63,8 @@ def test_the_folders_that_the_meshes_of_a_written_robot_need_are_named(package, 
     robot.write(new)
     needed = [str(tmp_path / "hand"), str(package / "meshes")]
     (said,) = caplog.messages
-    assert (
-        said.startswith("arm.urdf: meshes lie outside") and " ".join(f"--package-dir {one}" for one in needed) in said
-    )
+    words = " ".join(f"--package-dir {one}" for one in needed)
+    assert said.startswith("arm.urdf: meshes lie outside") and words in said
     assert len(check_urdf(new)) == 4 and not check_urdf(new, needed) and len(check_urdf(new, needed[1:])) == 1
     assert cli.main(["convert", str(source), "-o", str(new)]) == 0
     assert said.removeprefix("arm.urdf: ") in capsys.readouterr().err

@@ -15,6 +15,7 @@ from ik_toolkit.robot.formats.dh import dh_fk, dh_table, read_dh_table, to_urdf
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import shipped_robots
 
+GOOD = {"name": "r", "convention": "classic", "angles": "deg", "lengths": "m"}
 TABLED = [name for name, entry in shipped_robots().items() if entry.tip and entry.dh_file]
 
 
@@ -79,14 +80,7 @@ def tables(draw):
             row |= {"lower": draw(st.floats(-2, 0)), "upper": draw(st.floats(0, 2))}
         joints.append(row)
     frames = {key: {"xyz": draw(triples), "rpy": [60 * x for x in draw(triples)]} for key in ("base", "tool")}
-    return {
-        "name": "random",
-        "convention": draw(st.sampled_from(["classic", "modified"])),
-        "angles": "deg",
-        "lengths": "m",
-        "joint": joints,
-        **frames,
-    }
+    return {**GOOD, "convention": draw(st.sampled_from(["classic", "modified"])), "joint": joints, **frames}
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -101,10 +95,7 @@ def test_any_table_becomes_a_valid_urdf_of_the_same_kinematics(raw):
 def test_classic_and_modified_differ():
     rows = [{"a": 1.0, "alpha": 30, "d": 0.2, "lower": -1, "upper": 1}] * 2
     rows = [{**row, "name": f"j{i}"} for i, row in enumerate(rows)]
-    both = [
-        dh_table({"name": "r", "convention": c, "angles": "deg", "lengths": "m", "joint": rows})
-        for c in ("classic", "modified")
-    ]
+    both = [dh_table({**GOOD, "convention": c, "joint": rows}) for c in ("classic", "modified")]
     assert np.abs(dh_fk(both[0], [0.3, 0.4]) - dh_fk(both[1], [0.3, 0.4])).max() > 0.1
 
 
@@ -133,7 +124,6 @@ def test_limits_are_always_written():
     assert text.count("<limit ") == text.count("effort=") == text.count("velocity=") == 7
 
 
-GOOD = {"name": "r", "convention": "classic", "angles": "deg", "lengths": "m"}
 ROW = {"name": "j1", "a": 1.0, "lower": -10, "upper": 10}
 
 
@@ -177,7 +167,7 @@ def test_errors_name_row_and_column(change, message):
         (
             "t.csv",
             b"# convention = classic\n# angles = deg\n# lengths = m\nname,a\nj1,1,2\n",
-            "row 1 of the D-H table has 3 cells",
+            "row 1 of the D-H table has 3",
         ),
         ("t.csv", b"", "setting 'convention' is missing (in a CSV file, a line '# convention = ...')"),
         ("t.txt", b"", ".toml or .csv"),
@@ -201,8 +191,8 @@ def test_missing_file_and_wrong_size_of_q():
         read_dh_table("a\0b.toml")
 
 
-VALUES = (
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3) | st.lists(st.integers(), max_size=3)
+VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=3), st.lists(st.integers(), max_size=3)
 )
 KEYS = st.sampled_from(["name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort", "x"])
 

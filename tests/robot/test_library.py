@@ -41,26 +41,6 @@ def test_robots_toml_has_no_second_reach():
     assert all("reach" not in row for row in rows.values())
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_home_is_inside_the_limits_and_not_singular(name):
-    entry = find(name)
-    model = pin.buildModelFromUrdf(str(entry.path), True)
-    data, home = model.createData(), pin.neutral(model)
-    moving = [j for j in range(1, model.njoints) if not any(w in model.names[j] for w in ("gripper", "parallelogram"))]
-    assert len(entry.home) == len(moving)
-    for j, value in zip(moving, entry.home, strict=True):
-        assert model.lowerPositionLimit[model.joints[j].idx_q] < value < model.upperPositionLimit[model.joints[j].idx_q]
-        home[model.joints[j].idx_q] = value
-    pin.computeJointJacobians(model, data, home)
-    pin.updateFramePlacements(model, data)
-    for tip in entry.tips:
-        J = pin.getFrameJacobian(model, data, model.getFrameId(tip), pin.LOCAL_WORLD_ALIGNED)
-        J = J[:, np.abs(J).max(axis=0) > 0]
-        smallest = np.linalg.svd(J, compute_uv=False)[min(J.shape) - 1]
-        assert smallest > 0.05
-    assert model.existBodyName(entry.base)
-
-
 def test_brokk():
     """Both arms are HydroLeks on one turret; the grippers move nothing on the paths."""
     entry = find("brokk_hydrolek")
@@ -130,24 +110,10 @@ def test_not_found(source, message):
 
 def test_without_the_data_wheel(monkeypatch):
     monkeypatch.setattr(library, "DATA_PACKAGE", "no-such-distribution")
-    with pytest.raises(
-        MissingExtra, match="no-such-distribution is not installed; run: pip install example-robot-data"
-    ):
+    said = "no-such-distribution is not installed; run: pip install example-robot-data"
+    with pytest.raises(MissingExtra, match=said):
         find("panda")
     assert [entry.name for entry in list_robots()] == NAMES
-
-
-@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
-@pytest.mark.parametrize("name", list(DATA_ROBOTS))
-def test_data_robots_have_their_tips(name):
-    path, folders = example_robot_data(name)
-    model = pin.buildModelFromUrdf(str(path), True)
-    assert all(
-        model.existBodyName(tip) and model.frames[model.getFrameId(tip, pin.BODY)].parentJoint > 0
-        for tip in DATA_ROBOTS[name][1]
-    )
-    assert (folders[0] / "example-robot-data").is_dir()
-    assert find(name).path == path
 
 
 def test_data_robots_are_listed():
@@ -176,10 +142,7 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
     (tmp_path / "arm.urdf").write_text(urdf(dict(kind="revolute")))
     known = types.SimpleNamespace(has_urdf=True)
     stand_in = types.ModuleType("robot_descriptions")
-    stand_in.DESCRIPTIONS = {
-        "arm_description": known,
-        "gone_description": known,
-    }
+    stand_in.DESCRIPTIONS = {"arm_description": known, "gone_description": known}
     stand_in.__spec__ = importlib.machinery.ModuleSpec("robot_descriptions", None)
     stand_in.__path__ = []
     arm = types.ModuleType("robot_descriptions.arm_description")

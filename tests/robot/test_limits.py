@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from robots import joint, urdf
+from robots import ball, filled, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, JointNotFound, ModelError, ReadOnlyAttribute
@@ -16,10 +16,8 @@ OFFSETS = (0.0, 2e-17, 1e-12, 1e-6, 1e-3, 10.0)
 
 def gantry(stroke, offset, turning=True):
     """Three crossed slides whose origins are `offset` apart, and perhaps a wrist."""
-    joints = [
-        dict(kind="prismatic", axis=axis, xyz=f"{offset} 0 0", limits=(-stroke, stroke))
-        for axis in ("1 0 0", "0 1 0", "0 0 1")
-    ]
+    slide = dict(kind="prismatic", xyz=f"{offset} 0 0", limits=(-stroke, stroke))
+    joints = [dict(slide, axis=axis) for axis in ("1 0 0", "0 1 0", "0 0 1")]
     return urdf(*joints, *[dict(kind="revolute", axis="0 0 1", limits=(-2.0, 1.5))] * turning)
 
 
@@ -67,14 +65,13 @@ def test_strokes_of_all_lengths_on_arms_of_all_sizes(size):
 @pytest.mark.parametrize("left", [2e-17, 1e-12, 1e-9, 1e-8])
 def test_a_wrist_whose_offsets_are_rounding_is_taken_and_solved(left):
     """Pinocchio computes far from the wrist, so its own rounding there is larger than these offsets times 1e-9."""
-    parts = "".join(
-        f'<link name="l{i}"/><joint name="j{i}" type="revolute"><parent link="l{i - 1}"/><child link="l{i}"/>'
-        f'<origin xyz="{xyz}" rpy="0.3 0.2 {0.1 * i}"/><axis xyz="{axis}"/><limit lower="-2" upper="2"/></joint>'
-        for i, (axis, xyz) in enumerate(
-            [("0 0 1", "0.4 0.3 0.2"), ("1 0 0", f"{left} 0 0"), ("0 1 0", f"0 {left} 0"), ("0 0 1", f"0 0 {left}")], 1
-        )
-    )
-    robot = ik.Robot.load(f'<robot name="r"><link name="l0"/>{parts}</robot>', base="l1", tip="l4")
+    axes = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")
+    places = ("0.4 0.3 0.2", f"{left} 0 0", f"0 {left} 0", f"0 0 {left}")
+    joints = [
+        dict(kind="revolute", axis=axis, xyz=xyz, rpy=f"0.3 0.2 {0.1 * i}")
+        for i, (axis, xyz) in enumerate(zip(axes, places, strict=True), 1)
+    ]
+    robot = ik.Robot.load(urdf(*joints), base="l1", tip="l4")
     for q in robot.random_q(np.random.default_rng(0), 10):
         assert ik.solve(robot, robot.fk(q)).success
 
@@ -88,6 +85,7 @@ def test_only_what_means_none_is_no_limit(caplog):
     for sign in ("-1e16", "1e16"), ("-1e308", "1e308"), ("-1.7976931348623157e308", "1.7976931348623157e308"):
         robot = slide(*sign)
         assert np.isinf([robot.lower[0], robot.upper[0]]).all() and robot.notes == ()
+        assert slide(*sign, "revolute").joint_kinds[0] == "continuous"
     caplog.clear()
     for kind in ("prismatic", "revolute"):
         robot = slide(-3e9, 0.5, kind)
@@ -189,8 +187,7 @@ def test_trees_and_their_collisions_take_narrower_limits():
 def test_a_model_of_collisions_serves_the_variants_of_its_robot():
     box = '<collision><geometry><box size="0.1 0.1 0.3"/></geometry></collision>'
     text = urdf(*[dict(kind="revolute", axis=axis, xyz="0 0 0.4") for axis in ("0 0 1", "0 1 0", "0 1 0", "1 0 0")])
-    robot = ik.Robot.load(text.replace('<link name="l0"/>', f'<link name="l0">{box}</link>').replace(
-        '<link name="l4"/>', f'<link name="l4">{box}</link>'))  # fmt: skip
+    robot = ik.Robot.load(filled(text, {"l0": box, "l4": box}))
     model = ik.CollisionModel(robot).add_sphere(0.1, [0.0, 0.5, 0.5])
     limits = {"j0": (-0.5, 0.5)}
     q = np.array([0.2, 0.3, 0.4, 0.1])
@@ -269,9 +266,8 @@ def held(arm):
     """Objects that people hold, and what each says to use instead of an assignment."""
     T = arm.fk(arm.home)
     tree = ik.Tree.load("brokk_hydrolek")
-    shapes = ik.Robot.load(urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0", xyz="0 0 1")).replace(
-        '<link name="l0"/>', '<link name="l0"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
-    ))  # fmt: skip
+    shapes = urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0", xyz="0 0 1"))
+    shapes = ik.Robot.load(filled(shapes, {"l0": ball(0.1)}))
     return {
         "robot": (arm, "narrow limits with limits="),
         "tree": (tree, "narrow limits with limits="),
@@ -304,30 +300,23 @@ def test_public_attributes_cannot_be_assigned(arm):
                     delattr(thing, key)
 
 
-def test_margins_of_a_model_cannot_be_written():
-    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
-    with pytest.raises(ValueError, match="read-only"):
-        model.margins[:] = 0.0
-
-
 def test_arrays_of_a_robot_cannot_be_written(arm):
     for thing in (arm, ik.Tree.load("brokk_hydrolek"), arm.narrowed(middle_half(arm))):
         for name in ("lower", "upper", "home", "rest", "velocity_limits"):
             with pytest.raises(ValueError, match="read-only"):
                 getattr(thing, name)[0] = 0.0
         assert isinstance(thing.joint_names, tuple) and isinstance(thing.joint_kinds, tuple)
+    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        model.margins[:] = 0.0
 
 
 @pytest.mark.parametrize("place", [0, 3])
 def test_a_stroke_of_a_thousand_kilometres_does_not_make_an_arm_unsolvable(place):
     """Some files write 999999 m for "far"; the limit stands, and the arm is solved as precisely as with a short one."""
-    text = '<robot name="far"><link name="l0"/>'
-    for i, axis in enumerate(("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")):
-        far = i == place
-        limits = (-999999.0, 999999.0) if far else (-2.8, 2.8)
-        kind, axis = ("prismatic", "1 0 0") if far else ("revolute", axis)
-        text += joint(f"j{i}", kind, f"l{i}", f"l{i + 1}", axis, limits=limits)
-    robot = ik.Robot.load(text + joint("end", "fixed", "l7", "tcp") + "</robot>")
+    joints = [dict(kind="revolute", axis=axis, limits=(-2.8, 2.8)) for axis in ("0 0 1", "0 1 0") * 4][:7]
+    joints[place] = dict(kind="prismatic", axis="1 0 0", limits=(-999999.0, 999999.0))
+    robot = ik.Robot.load(urdf(*joints, dict(kind="fixed")))
     assert (robot.lower[place], robot.upper[place]) == (-999999.0, 999999.0)
     rng = np.random.default_rng(4)
     near = np.minimum(robot.upper, 3.0)

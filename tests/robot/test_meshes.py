@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from robots import urdf
+from robots import ball, filled, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, ModelError
@@ -37,40 +37,29 @@ FACE = '<instance_geometry url="#g"/>'
 
 def gltf(uri, children=()):
     """A triangle whose corners lie in a buffer of their own."""
-    accessors = [
-        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}
-    ]
-    return json.dumps(
-        {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0, "children": list(children)}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-            "buffers": [{"uri": uri, "byteLength": 36}],
-            "bufferViews": [{"buffer": 0, "byteLength": 36}],
-            "accessors": accessors,
-        }
-    )
+    return json.dumps({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "children": list(children)}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "buffers": [{"uri": uri, "byteLength": 36}], "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+    })  # fmt: skip
 
 
 def robot(name, folder, package_dirs=(), role="both"):
     """A robot in `folder` whose second link is a mesh, as a visual and a collision shape."""
     shape = f'<geometry><mesh filename="{name}"/></geometry>'
     tags = ("visual", "collision") if role == "both" else (role,)
-    link = f'<link name="l1">{"".join(f"<{tag}>{shape}</{tag}>" for tag in tags)}</link>'
-    text = urdf({"kind": "revolute"}, {"kind": "revolute", "axis": "0 1 0"}).replace('<link name="l1"/>', link)
+    text = urdf({"kind": "revolute"}, {"kind": "revolute", "axis": "0 1 0"})
     file = folder / "r.urdf"
-    file.write_text(text)
+    file.write_text(filled(text, {"l1": "".join(f"<{tag}>{shape}</{tag}>" for tag in tags)}))
     return ik.Robot.load(file, package_dirs=package_dirs)
 
 
 def refusals(name, folder, package_dirs=()):
     """What the check, a picture and a collision model say of a mesh; '' where it is read."""
     arm = robot(name, folder, package_dirs)
-    checked = next(
-        (str(finding) for finding in check_urdf(folder / "r.urdf", package_dirs) if "mesh" in str(finding)), ""
-    )
+    found = [str(finding) for finding in check_urdf(folder / "r.urdf", package_dirs)]
+    checked = next((said for said in found if "mesh" in said), "")
     try:
         ik.CollisionModel(arm)
         tested = ""
@@ -109,11 +98,8 @@ def test_one_rule_for_check_pictures_and_collisions(place):
         "package://../secret/a.stl",
     ]
     for name in [*outside, "package://robot/../../secret/a.stl", "out.stl", "way/a.stl"]:
-        said = (
-            "is a link that leads outside the allowed folders"
-            if name in ("out.stl", "way/a.stl")
-            else "outside the allowed folders"
-        )
+        link = name in ("out.stl", "way/a.stl")
+        said = "is a link that leads outside the allowed folders" if link else "outside the allowed folders"
         assert all(said in sentence for sentence in refusals(name, folder)), name
     for name in (*outside, "out.stl"):
         assert refusals(name, folder, [place / "secret"]) == ("", "", ""), name  # named, so allowed
@@ -149,17 +135,11 @@ def crowd(folder, names):
 def test_files_that_a_mesh_refers_to_stay_inside(place):
     folder = place / "robot"
     colors = {
-        "0.obj": "a.mtl",
-        "1.obj": "../secret/a.mtl",
-        "2.obj": f"{place}/secret/a.mtl",
-        "3.obj": "http://127.0.0.1:9/a.mtl",
-    }
+        "0.obj": "a.mtl", "1.obj": "../secret/a.mtl", "2.obj": f"{place}/secret/a.mtl", "3.obj": "http://127.0.0.1:9/a.mtl",
+    }  # fmt: skip
     buffers = {
-        "0.gltf": "a.bin",
-        "1.gltf": "../secret/a.bin",
-        "2.gltf": f"{place}/secret/a.bin",
-        "3.gltf": "%2e%2e/secret/a.bin",
-    }
+        "0.gltf": "a.bin", "1.gltf": "../secret/a.bin", "2.gltf": f"{place}/secret/a.bin", "3.gltf": "%2e%2e/secret/a.bin",
+    }  # fmt: skip
     for name, other in (colors | buffers).items():
         (folder / name).write_text(OBJ.format(other) if name in colors else gltf(other))
     tree = gltf("../secret/a.bin").encode()
@@ -181,39 +161,22 @@ def test_files_that_a_mesh_refers_to_stay_inside(place):
 
 
 NESTED = f'<node id="n">{"<node>" * 20_000}{FACE}{"</node>" * 20_000}</node>'
+CALL = '<instance_node url="#n{}"/>'
 CHAIN = (
-    "".join(f'<node id="n{k}"><instance_node url="#n{k + 1}"/></node>' for k in range(5_000))
-    + f'<node id="n5000">{FACE}</node>'
+    "".join(f'<node id="n{k}">{CALL.format(k + 1)}</node>' for k in range(5_000)) + f'<node id="n5000">{FACE}</node>'
 )
 DOUBLED = (
-    "".join(f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 2}</node>' for k in range(40))
-    + f'<node id="n40">{FACE}</node>'
+    "".join(f'<node id="n{k}">{CALL.format(k + 1) * 2}</node>' for k in range(40)) + f'<node id="n40">{FACE}</node>'
 )
+RING = '<node id="a"><node><instance_node url="#b"/></node></node><node id="b"><instance_node url="#a"/></node>'
+SELF, FIRST = '<node id="n"><instance_node url="#n"/></node>', '<node><instance_node url="#n0"/></node>'
 HOSTILE = {
-    "self.dae": (
-        DAE.format(nodes='<node id="n"><instance_node url="#n"/></node>', scene='<instance_node url="#n"/>'),
-        "contains itself",
-    ),
-    "ring.dae": (
-        DAE.format(
-            nodes='<node id="a"><node><instance_node url="#b"/></node></node><node id="b"><instance_node url="#a"/></node>',
-            scene='<instance_node url="#a"/>',
-        ),
-        "contains itself",
-    ),
-    "inside.dae": (
-        DAE.format(nodes="", scene=f'<node id="n">{FACE}<instance_node url="#n"/></node>'),
-        "contains itself",
-    ),
+    "self.dae": (DAE.format(nodes=SELF, scene='<instance_node url="#n"/>'), "contains itself"),
+    "ring.dae": (DAE.format(nodes=RING, scene='<instance_node url="#a"/>'), "contains itself"),
+    "inside.dae": (DAE.format(nodes="", scene=SELF.replace("<inst", f"{FACE}<inst")), "contains itself"),
     "deep.dae": (DAE.format(nodes="", scene=NESTED), "nested more than 200 deep"),
-    "chain.dae": (
-        DAE.format(nodes=CHAIN, scene='<node><instance_node url="#n0"/></node>'),
-        "nested more than 200 deep",
-    ),
-    "doubled.dae": (
-        DAE.format(nodes=DOUBLED, scene='<node><instance_node url="#n0"/></node>'),
-        "more than 100,000 others",
-    ),
+    "chain.dae": (DAE.format(nodes=CHAIN, scene=FIRST), "nested more than 200 deep"),
+    "doubled.dae": (DAE.format(nodes=DOUBLED, scene=FIRST), "more than 100,000 others"),
     "entity.dae": ('<!DOCTYPE a [<!ENTITY b "c">]>' + DAE.format(nodes="", scene=f"<node>{FACE}</node>"), "DOCTYPE"),
     "cut.dae": (DAE.format(nodes="", scene="")[:300], "not well-formed"),
     "loop.gltf": (gltf("a.bin", [0]), "contains itself"),
@@ -244,15 +207,13 @@ def test_hostile_meshes_are_refused_by_name(kind, place):
         assert said in problem and len(problem) < 300, problem
     if kind == "look":
         body = Body(arm)
-        assert [part.name for part in body.parts if part.name[:3] == "l1_"] == [
-            "l1_19"
-        ] and "and 16 more" in body.notice
+        assert [part.name for part in body.parts if part.name[:3] == "l1_"] == ["l1_19"]
+        assert "and 16 more" in body.notice
     else:
         with pytest.raises(ModelError, match=r"link 'l1': mesh .*self\.dae.*and 16 more"):
             ik.CollisionModel(arm)
-        with pytest.raises(
-            InvalidConfiguration, match=r"mesh file .*self\.dae' cannot be read: its node 'n' contains itself"
-        ):
+        said = r"mesh file .*self\.dae' cannot be read: its node 'n' contains itself"
+        with pytest.raises(InvalidConfiguration, match=said):
             ik.CollisionModel(robot("a.stl", folder)).add_mesh(folder / "self.dae", (0, 0, 3))
 
 
@@ -283,12 +244,10 @@ def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, mo
 
 
 def test_counts_of_shapes_are_capped(place):
-    ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
     for tag, most in (("collision", 300), ("visual", 2_000)):
         arm = robot("a.stl", place / "robot", role="visual")
-        vars(arm)["urdf"] = arm.urdf.replace(
-            "</visual></link>", "</visual>" + ball.replace("collision", tag) * (most + 1) + "</link>"
-        )
+        more = ball(0.1).replace("collision", tag) * (most + 1)
+        vars(arm)["urdf"] = arm.urdf.replace("</visual></link>", f"</visual>{more}</link>")
         if tag == "collision":
             with pytest.raises(ModelError, match="301 collision shapes; at most 300"):
                 ik.CollisionModel(arm)
@@ -298,9 +257,8 @@ def test_counts_of_shapes_are_capped(place):
 
 def test_a_mesh_that_is_used_over_and_over_is_counted_each_time(place, monkeypatch):
     arm = robot("a.stl", place / "robot")
-    vars(arm)["urdf"] = arm.urdf.replace(
-        "<visual>", "<visual>" + "<geometry><mesh filename='a.stl'/></geometry></visual><visual>" * 9
-    )
+    again = "<geometry><mesh filename='a.stl'/></geometry></visual><visual>" * 9
+    vars(arm)["urdf"] = arm.urdf.replace("<visual>", f"<visual>{again}")
     monkeypatch.setattr(shapes, "MAX_TOTAL", 9)
     assert "have 10 triangles; at most 9" in Body(arm).notice and "stick figure" in Body(arm).notice
     monkeypatch.setattr(shapes, "MAX_TOTAL", 10)
@@ -308,30 +266,18 @@ def test_a_mesh_that_is_used_over_and_over_is_counted_each_time(place, monkeypat
 
 
 SIZES = [
-    'sphere radius="0"',
-    'sphere radius="-1"',
-    'sphere radius="1e300"',
-    'box size="0 0 0"',
-    'box size="1 -1 1"',
-    "sphere",
-]
-SIZES += [
-    'cylinder radius="0" length="1"',
-    'cylinder radius="1" length="-1"',
-    'mesh filename="a.stl" scale="0 1 1"',
-    "blob",
-    "",
-]
+    *(f'sphere radius="{radius}"' for radius in ("0", "-1", "1e300")), *(f'box size="{size}"' for size in ("0 0 0", "1 -1 1")),
+    'cylinder radius="0" length="1"', 'cylinder radius="1" length="-1"', 'mesh filename="a.stl" scale="0 1 1"',
+    "sphere", "blob", "",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("shape", SIZES)
 def test_shapes_without_extent_are_said(shape, place):
     arm = robot("a.stl", place / "robot")
     vars(arm)["urdf"] = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
-    with pytest.raises(
-        ModelError,
-        match=r"link 'l1': .*(is not a valid shape|is zero or too large|has no|<blob> is not a shape; use one of: mesh)",
-    ):
+    said = "(is not a valid shape|is zero or too large|has no|<blob> is not a shape; use one of: mesh)"
+    with pytest.raises(ModelError, match=f"link 'l1': .*{said}"):
         ik.CollisionModel(arm)
     scene = ik.view(arm)
     assert "link 'l1': " in scene.body.notice and "stick figure" in scene.body.notice and "</html>" in scene.html()

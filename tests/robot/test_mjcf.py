@@ -214,20 +214,11 @@ def test_converted(arm, tmp_path, capsys):
 
 
 def test_a_free_joint_is_held_unless_it_has_limits(caplog):
-    text = (
-        BARE.format('<freejoint name="f"/>')
-        .replace('<joint name="j"/>', "")
-        .replace(
-            "</body>", '<body name="b" pos="0 0 1"><joint name="j" range="-90 90"/><geom size=".1"/></body></body>'
-        )
-    )
+    below = '<freejoint name="f"/><body name="b" pos="0 0 1"><joint name="j" range="-90 90"/><geom size=".1"/></body>'
+    text = BARE.replace('<joint name="j"/>', "").format(below)
     assert ik.Robot.load(text, tip="b").base == "a" and "held still" in caplog.text
-    assert ik.Robot.load(text, tip="b", base_limits=(-1, 1)).joint_names[:4] == (
-        "base_x",
-        "base_y",
-        "base_z",
-        "base_yaw",
-    )
+    free = ik.Robot.load(text, tip="b", base_limits=(-1, 1))
+    assert free.joint_names[:4] == ("base_x", "base_y", "base_z", "base_yaw")
 
 
 FREE = """<mujoco><worldbody><body name="trunk" pos="0.1 0 0.4" euler="10 20 30"><freejoint name="f"/><geom size=".1"/>
@@ -245,14 +236,15 @@ def test_free_bodies_stand_where_the_file_and_its_keyframes_have_them():
         assert np.abs(robot.fk(q).translation - data.site("foot").xpos).max() < 1e-12
         assert np.abs(robot.fk(q).rotation.ravel() - data.site("foot").xmat).max() < 1e-12
         mujoco.mj_resetDataKeyframe(model, data, 0)
-    scene = (
-        FREE.partition("<keyframe>")[0].replace('<freejoint name="f"/>', "").replace("</worldbody>", BALL) + "</mujoco>"
-    )
+    held = FREE.partition("<keyframe>")[0].replace('<freejoint name="f"/>', "")
+    scene = held.replace("</worldbody>", BALL) + "</mujoco>"
     ball = robot.fk(np.zeros(7)) * ik.Robot.load(scene, tip="foot", base="ball").fk([0.0]).inverse()
     wanted = ik.pose((0.7, 0.1, 0.3), rpy=(0.0, 0.0, np.radians(40.0)))
     assert np.abs(ball.homogeneous - wanted).max() < 1e-12
 
 
+OUTSIDE = "lies outside the model's folder; name its folder with package_dirs"
+MANY = '<replicate count="{}" offset="1 0 0">{}</replicate>'
 # MuJoCo takes their square
 DEFAULTS = "".join(f'<default class="a{k}"><geom size="1"/></default>' for k in range(30_000))
 
@@ -261,30 +253,15 @@ DEFAULTS = "".join(f'<default class="a{k}"><geom size="1"/></default>' for k in 
     ("text", "said"),
     [
         ('<!DOCTYPE mujoco [<!ENTITY a "a">]>' + BARE.format(""), "DOCTYPE or entity"),
-        (
-            BARE.format('<include file="../secret.xml"/>'),
-            "lies outside the model's folder; name its folder with package_dirs",
-        ),
-        (
-            BARE.format('<include file="/etc/passwd"/>'),
-            "lies outside the model's folder; name its folder with package_dirs",
-        ),
-        (
-            BARE.format('<include file="link.xml"/>'),
-            "lies outside the model's folder; name its folder with package_dirs",
-        ),
+        (BARE.format('<include file="../secret.xml"/>'), OUTSIDE),
+        (BARE.format('<include file="/etc/passwd"/>'), OUTSIDE),
+        (BARE.format('<include file="link.xml"/>'), OUTSIDE),
         (BARE.format('<include file="arm.xml"/>'), "includes itself"),
         (BARE.format('<include file="none.xml"/>'), "there is no such file"),
         (BARE.format('<include file=""/>'), "cannot be found"),
         (BARE.format("<body>" * 80 + "</body>" * 80), "nested more than 64 deep"),
-        (
-            BARE.format('<replicate count="100000000" offset="1 0 0"><geom size=".1"/></replicate>'),
-            "its <replicate> comes to 100,000,00",
-        ),
-        (
-            BARE.format('<replicate count="500"><replicate count="500"><geom size=".1"/></replicate></replicate>'),
-            "its <replicate> comes to 250,00",
-        ),
+        (BARE.format(MANY.format(100_000_000, '<geom size=".1"/>')), "its <replicate> comes to 100,000,00"),
+        (BARE.format(MANY.format(500, MANY.format(500, '<geom size=".1"/>'))), "its <replicate> comes to 250,00"),
         (BARE.format('<geom size=".1"/>' * 20_001), "it has more than 20,000 elements <geom>; it is not read"),
         (
             BARE.format("").replace("</worldbody>", "</worldbody><default>" + DEFAULTS + "</default>"),

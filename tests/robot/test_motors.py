@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refuses
 from robots import urdf
 
 import ik_toolkit as ik
@@ -49,30 +50,26 @@ def test_a_joint_that_is_named_like_a_motor_is_found_first():
 
 def test_mistakes_name_the_joint():
     robot = ik.Robot.load("scara")
+    to_q = ik.MotorMap(robot).to_q
     with pytest.raises(JointNotFound, match="elbow"):
         ik.MotorMap(robot, sign={"elbw": -1})
-    with pytest.raises(InvalidOption, match="1 or -1"):
-        ik.MotorMap(robot, sign={"elbow": 2})
-    with pytest.raises(InvalidOption, match="elbow"):
-        ik.MotorMap(robot, offset={"elbow": math.nan})
-    with pytest.raises(InvalidOption, match="a dict"):
-        ik.MotorMap(robot, offset=0.1)
-    with pytest.raises(InvalidOption, match="Robot or a Tree"):
-        ik.MotorMap("scara")
-    with pytest.raises(InvalidConfiguration, match="slide"):
-        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow": 0.0, "spin": 0.0})
-    with pytest.raises(
-        InvalidConfiguration, match=r"for joint slide, spin\. Did you mean 'slid.pos'\? Available: slid\.pos, grip\.$"
-    ):
-        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "slid.pos": 0.0, "grip": 1.0})
-    with pytest.raises(InvalidConfiguration, match=r"for joint slide\.$"):
-        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow.pos": 0.0, "spin": 0.0})
-    with pytest.raises(InvalidConfiguration, match="that of slide is not"):
-        ik.MotorMap(robot).to_q([0.0, 0.0, math.nan, 0.0])
-    with pytest.raises(InvalidConfiguration, match=r"4 numbers \(.*\), or \(N, 4\), not an array of shape \(3,\)"):
-        ik.MotorMap(robot).to_q([0.0, 0.0, 0.0])
-    with pytest.raises(InvalidConfiguration, match=r"equally many; .*'shoulder': \(2,\)"):
-        ik.MotorMap(robot).to_q({"shoulder": [0.0, 0.1], "elbow": 0.0, "slide": 0.0, "spin": 0.0})
+    refuses(
+        InvalidOption,
+        (lambda: ik.MotorMap(robot, sign={"elbow": 2}), "1 or -1"),
+        (lambda: ik.MotorMap(robot, offset={"elbow": math.nan}), "elbow"),
+        (lambda: ik.MotorMap(robot, offset=0.1), "a dict"),
+        (lambda: ik.MotorMap("scara"), "Robot or a Tree"),
+    )
+    short, rest = {"shoulder": 0.0, "elbow.pos": 0.0}, {"slide": 0.0, "spin": 0.0}
+    close = r"for joint slide, spin\. Did you mean 'slid.pos'\? Available: slid\.pos, grip\.$"
+    refuses(
+        InvalidConfiguration,
+        (lambda: to_q({**short, "slid.pos": 0.0, "grip": 1.0}), close),
+        (lambda: to_q({**short, "spin": 0.0}), r"for joint slide\.$"),
+        (lambda: to_q([0.0, 0.0, math.nan, 0.0]), "that of slide is not"),
+        (lambda: to_q([0.0, 0.0, 0.0]), r"4 numbers \(.*\), or \(N, 4\), not an array of shape \(3,\)"),
+        (lambda: to_q({**short, **rest, "shoulder": [0.0, 0.1]}), r"equally many; .*'shoulder': \(2,\)"),
+    )
 
 
 def test_a_recorded_motion_of_motors_comes_back_as_joint_values():

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refuses
 from robots import CONTINUOUS, MADE, MIMIC, SLIDES, have_data, load
 
 import ik_toolkit as ik
@@ -83,14 +84,15 @@ def test_shapes_without_a_file_and_shapes_that_cannot_be_drawn():
 
 def test_what_is_no_model_is_refused():
     model = load("planar_2r").model
-    with pytest.raises(ModelError, match=r"a pin.Model is expected, not GeometryModel; Robot.load reads names"):
-        ik.Robot(pin.GeometryModel())
     with pytest.raises(RobotNotFound, match=r"not Model; ik\.Robot\(model\) takes a pin\.Model"):
         ik.Robot.load(model)
-    with pytest.raises(ModelError, match=r"collision_model must be a pin.GeometryModel, not Model"):
-        ik.Robot(model, model)
-    with pytest.raises(ModelError, match=r"was made from a Pinocchio model alone.*collision_model="):
-        ik.CollisionModel(ik.Robot(model, tip="tool"))
+    refuses(
+        ModelError,
+        (lambda: ik.Robot("hydrolek_7w"), "a pin.Model is expected, not str; Robot.load reads names"),
+        (lambda: ik.Robot(pin.GeometryModel()), "a pin.Model is expected, not GeometryModel; Robot.load reads names"),
+        (lambda: ik.Robot(model, model), "collision_model must be a pin.GeometryModel, not Model"),
+        (lambda: ik.CollisionModel(ik.Robot(model, tip="tool")), "from a Pinocchio model alone.*collision_model="),
+    )
     for owner in (ik.Robot, load("planar_2r")):
         with pytest.raises(AttributeError, match=r"is now q_from_pinocchio.*ik.Robot\(model\)"):
             owner.from_pinocchio(model)
@@ -136,9 +138,8 @@ def test_values_of_mimic_joints_and_of_joints_at_rest():
 
 def test_another_model_without_the_joints_is_refused():
     robot = load("planar_2r")
-    with pytest.raises(
-        JointNotFound, match=f"the model has no joint '{robot.joint_names[0]}', which robot 'planar_2r' moves"
-    ):
+    said = f"the model has no joint '{robot.joint_names[0]}', which robot 'planar_2r' moves"
+    with pytest.raises(JointNotFound, match=said):
         robot.to_pinocchio(robot.home, model=load("hydrolek_7w").model)
     with pytest.raises(InvalidOption, match=r"model must be a pin.Model, not str"):
         robot.to_pinocchio(robot.home, model="panda")

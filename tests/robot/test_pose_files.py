@@ -96,10 +96,7 @@ def test_blank_lines_between_rows_are_skipped_and_said(tmp_path, caplog):
         ("x,y,z\n0.5,1,-2\n0.5,1,-3\n\n,,\n", ""),
         ("\n\nx;y;z\n0,5;1;-2\n0,5;1;-3\n;;\n", ""),
         ("x,y,z\n0.5,1,-2\n\n0.5,1,-3\n", "1 blank line skipped, at line 3; the answers have no rows for it"),
-        (
-            "x,y,z\n\n0.5,1,-2\n,,\n\n0.5,1,-3\n\n",
-            "3 blank lines skipped, at lines 2 and 4; the answers have no rows for",
-        ),
+        ("x,y,z\n\n0.5,1,-2\n,,\n\n0.5,1,-3\n\n", "3 blank lines skipped, at lines 2 and 4; the answers have no rows"),
     ):
         caplog.clear()
         assert poses_of(tmp_path, text).tolist() == rows
@@ -109,9 +106,8 @@ def test_blank_lines_between_rows_are_skipped_and_said(tmp_path, caplog):
 def test_many_rows_without_numbers_are_counted(tmp_path):
     rows = ["0.1,0.2,0.3"] * 30
     rows[3::3] = ["0.1,nan,"] * 9
-    with pytest.raises(
-        InvalidTarget, match=r"line 5: 'nan' is not .*; lines 8, 11, 14, 17, 20 and 3 more lack a number"
-    ):
+    said = "line 5: 'nan' is not .*; lines 8, 11, 14, 17, 20 and 3 more lack a number"
+    with pytest.raises(InvalidTarget, match=said):
         poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
 
 
@@ -122,10 +118,7 @@ def test_many_rows_without_numbers_are_counted(tmp_path):
         ("[]", "targets has no rows; JSON has a list of positions"),
         ('{"xyz": []}', "xyz has no rows; JSON has"),
         ("{}", "no array 'targets' or 'xyz', and no other. JSON has"),
-        (
-            "[[1, 2, 3], [null, 2, 3], [1, 2, 3], [4, 5]]",
-            r"row 1 of targets .* is \[null, 2, 3\], not 3 numbers; so is row 3",
-        ),
+        ("[[1, 2, 3], [null, 2, 3], [1, 2, 3], [4]]", r"row 1 .* is \[null, 2, 3\], not 3 numbers; so is row 3"),
         ("[[1, 2, 3], [NaN, 2, 3]]", "row 1 of targets .* has numbers that are not finite"),
         ('{"xyz": [[1, 2, 3]], "quat_xyzw": [[0, 0, 0, 2]]}', "row 0 .*: the quaternion .* has length 2, not 1$"),
     ],
@@ -155,17 +148,11 @@ def test_ros_messages_in_json_are_read(tmp_path):
     file.write_text(json.dumps([pose["position"], pose["position"]]))
     assert read_poses(file, "targets")[1].__next__().poses.tolist() == [[1.0, 2.0, 3.0]] * 2
     for content, said in (
-        (
-            [pose, stamped],
-            r"row 1 \(counted from 0\): the target is given in the frame 'base', and the robot's base is 'arm'",
-        ),
+        ([pose, stamped], r"row 1 \(.*\): the target is given in the frame 'base', and the robot's base is 'arm'"),
         ({"header": {"frame_id": "map"}, "poses": [pose]}, "given in the frame 'map'"),
         ([pose, {"position": [1, 2, 3]}], r"row 1 \(counted from 0\): a pose that is a dict has the fields"),
         ([pose, pose["position"]], r"row 1 of targets \(counted from 0\) is \{"),
-        (
-            [pose, {**pose, "position": {"x": None, "y": 0, "z": 0}}],
-            "row 1 of targets .* has numbers that are not finite",
-        ),
+        ([pose, {**pose, "position": {"x": None, "y": 0, "z": 0}}], "row 1 of targets .* numbers that are not finite"),
     ):
         file.write_text(json.dumps(content))
         with pytest.raises(InvalidTarget, match=said):
@@ -179,9 +166,8 @@ def test_ros_messages_in_json_are_read(tmp_path):
 def test_arrays_of_several_tips_are_named(tmp_path):
     T = np.tile(np.eye(4), (3, 1, 1))
     np.savez(tmp_path / "a.npz", left=T, right=np.array([[0.0, 0, 0], [0, np.nan, 0], [0, 0, 0]]))
-    with pytest.raises(
-        InvalidTarget, match=r"'a\.npz': row 1 of right \(counted from 0\) has numbers that are not finite"
-    ):
+    said = r"'a\.npz': row 1 of right \(counted from 0\) has numbers that are not finite"
+    with pytest.raises(InvalidTarget, match=said):
         read_poses(tmp_path / "a.npz", "targets", tips=("left", "right"))
     (tmp_path / "a.csv").write_text("")
     with pytest.raises(InvalidTarget, match=r"'a\.csv' is empty; .* such as left\.x,left\.y,left\.z,right\.x"):
@@ -323,12 +309,8 @@ def test_large_and_deep_json_is_refused_before_it_takes_memory(tmp_path):
 
 @pytest.mark.parametrize("top", ["sep=;\n", "SEP=;\r\n", '"sep=;"\n\n', "\ufeffsep=;\n"])
 def test_the_line_in_which_excel_names_the_separator_is_skipped(tmp_path, top):
-    file = tmp_path / "poses.csv"
-    file.write_text(top + "x;y;z\n0,5;1;2\n", encoding="utf-8")
-    assert np.concatenate([block.poses for block in read_poses(file, "targets")[1]]).tolist() == [[0.5, 1.0, 2.0]]
-    file.write_text(top + "x;y;z\n0,5;1;\n", encoding="utf-8")
+    assert poses_of(tmp_path, top + "x;y;z\n0,5;1;2\n").tolist() == [[0.5, 1.0, 2.0]]
     with pytest.raises(InvalidTarget, match=f"line {top.count(chr(10)) + 2}: the cell of z is empty"):
-        list(read_poses(file, "targets")[1])
-    file.write_text(top)
+        poses_of(tmp_path, top + "x;y;z\n0,5;1;\n")
     with pytest.raises(InvalidTarget, match="names the columns"):
-        read_poses(file, "targets")
+        poses_of(tmp_path, top)

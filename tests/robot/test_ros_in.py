@@ -37,6 +37,9 @@ def plain(one):
     return {name: plain(value) for name, value in vars(one).items()} if isinstance(one, Message) else one
 
 
+BOTH = pytest.mark.parametrize("form", [lambda x: x, plain], ids=["object", "dict"])
+
+
 def test_poses_in_every_form_are_the_same_target(arm):
     M = arm.fk(arm.random_q(np.random.default_rng(1)))
     pose, transform = message(M), message(M, "translation", "rotation")
@@ -81,7 +84,7 @@ def test_plain_dicts_are_the_same_targets_in_every_call(arm):
     assert np.allclose(ik.approach(plain(objects[1]), 0.1), ik.approach(M, 0.1))
 
 
-@pytest.mark.parametrize("form", [lambda x: x, lambda x: plain(x)], ids=["object", "dict"])
+@BOTH
 def test_a_message_of_many_poses_is_a_batch_and_a_path(arm, form):
     """geometry_msgs/PoseArray and nav_msgs/Path."""
     poses = [message(arm.fk(q)) for q in np.linspace(arm.home, arm.home + 0.05, 3)]
@@ -121,7 +124,7 @@ def test_plain_dicts_for_several_tips():
             call(tree, given[tree.tips[0]])
 
 
-@pytest.mark.parametrize("form", [lambda x: x, lambda x: plain(x)], ids=["object", "dict"])
+@BOTH
 def test_another_frame_is_refused_by_name(arm, form):
     stamped = form(Message(header=Message(frame_id="map"), pose=message(arm.fk(arm.home))))
     for call in (
@@ -138,7 +141,7 @@ def test_another_frame_is_refused_by_name(arm, form):
             call(arm, stamped)
 
 
-@pytest.mark.parametrize("form", [lambda x: x, lambda x: plain(x)], ids=["object", "dict"])
+@BOTH
 def test_messages_that_hold_no_pose_are_refused(arm, form):
     good = message(arm.fk(arm.home))
     for wrong in (
@@ -153,13 +156,12 @@ def test_messages_that_hold_no_pose_are_refused(arm, form):
             with pytest.raises(InvalidTarget):
                 call(arm, form(wrong))
     for call in (ik.solve, lambda arm, one: ik.solve_batch(arm, [one])):
-        with pytest.raises(
-            InvalidTarget, match=r"a dict has the fields of a ROS message, position \(x, y, z\) and orient"
-        ):
+        said = r"a dict has the fields of a ROS message, position \(x, y, z\) and orient"
+        with pytest.raises(InvalidTarget, match=said):
             call(arm, plain(Message(position=good.position)))
 
 
-@pytest.mark.parametrize("form", [lambda x: x, lambda x: plain(x)], ids=["object", "dict"])
+@BOTH
 @pytest.mark.parametrize("none", [np.nan, None])  # JSON has no NaN; rosbridge writes null
 def test_a_tracker_goes_on_after_a_message_with_nan(arm, form, none):
     tracker, good = ik.Tracker(arm, q0="home"), form(message(arm.fk(arm.home)))
@@ -185,14 +187,11 @@ def test_a_start_by_joint_or_by_name(arm):
         result = ik.solve(arm, M, q0=start)
         assert np.array_equal(result.q, expected.q)
         assert ("gripper ignored" in result.notice) == (start is not values and start is not backwards)
-        assert np.array_equal(
-            ik.solve_batch(arm, M.homogeneous[None], q0=start).q[0], ik.solve_batch(arm, M.homogeneous[None], q0=q).q[0]
-        )
+        assert np.array_equal(ik.solve_batch(arm, [M], q0=start).q, ik.solve_batch(arm, [M], q0=q).q)
         each = ik.solve_batch(arm, [M, M], q0=[start, start])
         assert np.array_equal(each.q, ik.solve_batch(arm, [M, M], q0=[q, q]).q)
-        assert np.array_equal(ik.Tracker(arm, q0=start).q, q) and np.array_equal(
-            arm.fk(start).homogeneous, M.homogeneous
-        )
+        assert np.array_equal(ik.Tracker(arm, q0=start).q, q)
+        assert np.array_equal(arm.fk(start).homogeneous, M.homogeneous)
     assert np.array_equal(ik.solve(arm, M, q0="home").q, ik.solve(arm, M, q0=arm.home).q)
     with pytest.raises(ConfigurationNotFound, match=r"'hom'\. Did you mean 'home'"):
         ik.solve(arm, M, q0="hom")

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import robots
 import second_fk
+from robots import tie
 from second_fk import RPY_LITERALS, SecondFK, pose_errors, random_case, turn_about
 
 import ik_toolkit as ik
@@ -33,22 +34,22 @@ def arm(**changes):
 PINION = robots.urdf(
     dict(kind="prismatic", axis="1 0 0", limits=(0.0, 0.6)),
     dict(kind="revolute", axis="0 1 0", xyz="0.1 0 0.2"),
-    dict(kind="revolute", axis="0 0 1", limits=(-1.0, 13.0), mimic='<mimic joint="j0" multiplier="20" offset="0.5"/>'),
+    dict(kind="revolute", axis="0 0 1", limits=(-1.0, 13.0), mimic=tie("j0", 20, 0.5)),
     dict(kind="revolute", axis="0 1 0", xyz="0.3 0 0"),
-    dict(kind="prismatic", limits=(-9.0, 9.0), mimic='<mimic joint="j1" multiplier="-0.4" offset="3.3"/>'),
+    dict(kind="prismatic", limits=(-9.0, 9.0), mimic=tie("j1", -0.4, 3.3)),
     dict(kind="fixed", xyz="0.2 0 0.1"),
 )
 HARD = {
-    "mimic_pi": arm(j5=dict(mimic='<mimic joint="j3" multiplier="1" offset="3.14159265"/>', limits=(-9.0, 9.0))),
-    "mimic_far": arm(j6=dict(mimic='<mimic joint="j1" multiplier="-7.5" offset="-40"/>', limits=(-99.0, 99.0))),
+    "mimic_pi": arm(j5=dict(mimic=tie("j3", 1, 3.14159265), limits=(-9.0, 9.0))),
+    "mimic_far": arm(j6=dict(mimic=tie("j1", -7.5, -40), limits=(-99.0, 99.0))),
     "pinion": PINION,
     "parallel": arm(j3=dict(axis="-1 0 0"), j4=dict(rpy="-1.5707963267948966 0 1.57079632679")),
     "near_minus_z": arm(j2=dict(axis="0.0000015 0 -1")),
     "endless_leader": robots.urdf(
         dict(kind="continuous"),
-        dict(kind="continuous", axis="0 1 0", xyz="0.1 0 0.3", mimic='<mimic joint="j0" multiplier="0.5" offset="1"/>'),
+        dict(kind="continuous", axis="0 1 0", xyz="0.1 0 0.3", mimic=tie("j0", 0.5, 1)),
         dict(kind="revolute", axis="1 0 0", xyz="0 0 0.3"),
-        dict(kind="revolute", xyz="0.2 0 0", limits=(-9.0, 9.0), mimic='<mimic joint="j0" multiplier="-1.5"/>'),
+        dict(kind="revolute", xyz="0.2 0 0", limits=(-9.0, 9.0), mimic=tie("j0", -1.5)),
         dict(kind="fixed", xyz="0.2 0 0.1"),
     ),
 }
@@ -149,20 +150,15 @@ def test_random_robots_in_batches():
         assert not judge.outside(batch.q, robot.joint_names).any()
 
 
-BRANCHES = (
-    '<robot name="branches"><link name="root"/>'
-    + robots.joint("left", "revolute", "root", "l1", axis="0 1 0")
-    + robots.joint(
-        "left_follower", "revolute", "l1", "l2", limits=(-9, 9), mimic='<mimic joint="left" multiplier="2" offset="4"/>'
-    )
-    + robots.joint("left_free", "revolute", "l2", "left_hand", axis="1 0 0")
-    + robots.joint("right", "revolute", "root", "r1", axis="1 1 0", xyz="0 0.3 0")
-    + robots.joint(
-        "right_follower", "prismatic", "r1", "r2", limits=(-9, 9), mimic='<mimic joint="left" multiplier="-0.3"/>'
-    )
-    + robots.joint("right_tip", "revolute", "r2", "right_hand", xyz="0.1 0 0.1")
-    + "</robot>"
+SIDES = (
+    robots.joint("left", "revolute", "root", "l1", axis="0 1 0"),
+    robots.joint("left_follower", "revolute", "l1", "l2", limits=(-9, 9), mimic=tie("left", 2, 4)),
+    robots.joint("left_free", "revolute", "l2", "left_hand", axis="1 0 0"),
+    robots.joint("right", "revolute", "root", "r1", axis="1 1 0", xyz="0 0.3 0"),
+    robots.joint("right_follower", "prismatic", "r1", "r2", limits=(-9, 9), mimic=tie("left", -0.3)),
+    robots.joint("right_tip", "revolute", "r2", "right_hand", xyz="0.1 0 0.1"),
 )
+BRANCHES = robots.branches(*SIDES, root="root")
 
 
 @pytest.mark.parametrize(("base", "tip"), [("left_hand", "right_hand"), ("l1", "right_hand"), ("r1", "right_hand")])
@@ -178,7 +174,7 @@ def test_a_follower_whose_leader_lies_above_the_base(multiplier):
     """The leader moves nothing else, so it counts as the joint itself only when the multiplier is 1 to the last digits."""
     text = robots.urdf(
         dict(kind="revolute", limits=(-7.0, 7.0)),
-        dict(kind="revolute", axis="0 1 0", limits=(-30, 30), mimic=f'<mimic joint="j0" multiplier="{multiplier}"/>'),
+        dict(kind="revolute", axis="0 1 0", limits=(-30, 30), mimic=tie("j0", multiplier)),
         dict(kind="revolute", axis="1 0 0", xyz="0 0 0.3", limits=(-3.2, 3.2)),
         dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3"),
         dict(kind="fixed", xyz="0.1 0 0.2"),
@@ -193,7 +189,7 @@ def test_a_follower_whose_leader_lies_above_the_base(multiplier):
 
 
 def test_a_follower_of_multiplier_zero_stands_still():
-    text = arm(j2=dict(mimic='<mimic joint="j0" multiplier="0" offset="0.4"/>'))
+    text = arm(j2=dict(mimic=tie("j0", 0, 0.4)))
     robot = ik.Robot.load(text)
     assert robot.n == 6
     check_kinematics(robot, SecondFK(text), 6)
@@ -205,11 +201,8 @@ def test_limits_of_a_follower_hold_to_the_last_digit():
     for _ in range(100):
         ratio, offset, low = rng.normal() * 3, rng.normal() * 2, rng.normal()
         high = low + rng.choice([0.0, 0.5])
-        mimic = f'<mimic joint="j0" multiplier="{ratio!r}" offset="{offset!r}"/>'
-        text = robots.urdf(
-            dict(kind="continuous"), dict(kind="revolute", limits=(float(low), float(high)), mimic=mimic, axis="0 1 0")
-        )
-        robot = ik.Robot.load(text)
+        follower = dict(kind="revolute", limits=(low, high), mimic=tie("j0", ratio, offset), axis="0 1 0")
+        robot = ik.Robot.load(robots.urdf(dict(kind="continuous"), follower))
         if high > low:
             ends = ratio * np.array([robot.lower[0], robot.upper[0]]) + offset
             assert low <= ends.min() and ends.max() <= high
@@ -228,13 +221,12 @@ def test_a_zero_range_that_is_written_with_a_minus():
 
 def test_a_tree_whose_arms_share_leaders():
     """A coordinate turns one arm and slides the other; another is a slide that turns what follows it by 20 rad/m."""
-    text = BRANCHES.replace("</robot>", "") + (
-        robots.joint("lift", "prismatic", "left_hand", "lifted", limits=(-0.2, 0.4))
-        + robots.joint(
-            "pinion", "revolute", "right_hand", "pinned", limits=(-9, 9), mimic='<mimic joint="lift" multiplier="20"/>'
-        )
-        + robots.joint("end", "fixed", "pinned", "right_end", xyz="0.2 0.1 0")
-        + "</robot>"
+    text = robots.branches(
+        *SIDES,
+        robots.joint("lift", "prismatic", "left_hand", "lifted", limits=(-0.2, 0.4)),
+        robots.joint("pinion", "revolute", "right_hand", "pinned", limits=(-9, 9), mimic=tie("lift", 20)),
+        robots.joint("end", "fixed", "pinned", "right_end", xyz="0.2 0.1 0"),
+        root="root",
     )
     tips = ["lifted", "right_end"]
     tree = ik.Tree.load(text, tips=tips)
@@ -271,17 +263,6 @@ def test_a_chain_that_differs_from_pinocchio_is_refused():
         Skewed(pin.buildModelFromXML(arm(), True))
 
 
-def test_limits_larger_than_is_computed_with():
-    """At a billion radians a double does not hold an angle to 1e-9 any more: the limit is brought down, and a note says so."""
-    robot = ik.Robot.load(robots.urdf(dict(kind="revolute", limits=(-1e9, 1e9)), dict(kind="revolute", axis="0 1 0")))
-    assert robot.joint_kinds[0] == "revolute" and (robot.lower[0], robot.upper[0]) == (-1e6, 1e6)
-    assert any("j0" in note and "1e+09" in note for note in robot.notes)
-    endless = ik.Robot.load(
-        robots.urdf(dict(kind="revolute", limits=(-1e16, 1e16)), dict(kind="revolute", axis="0 1 0"))
-    )
-    assert endless.joint_kinds[0] == "continuous" and np.isinf(endless.upper[0]) and not endless.notes
-
-
 def test_loading_compiles_nothing(tmp_path):
     """A robot is loaded, its home found and its starts tabulated without the compiler, which takes seconds."""
     code = (
@@ -301,11 +282,7 @@ def test_a_follower_that_loses_its_digits_is_refused():
     """At ten million radians the last digit of an angle is 2e-9: no kernel can hold such a robot to 1e-9."""
     follower = dict(kind="revolute", axis="0 1 0", xyz="0.1 0 0.2", limits=(-1e9, 1e9))
     for multiplier, loads in (("1e5", True), ("1e8", False)):
-        text = robots.urdf(
-            dict(kind="revolute"),
-            {**follower, "mimic": f'<mimic joint="j0" multiplier="{multiplier}"/>'},
-            dict(kind="revolute"),
-        )
+        text = robots.urdf(dict(kind="revolute"), {**follower, "mimic": tie("j0", multiplier)}, dict(kind="revolute"))
         if loads:
             check_kinematics(ik.Robot.load(text), SecondFK(text), 9)
         else:
@@ -317,7 +294,7 @@ def test_the_second_fk_itself():
     """Two joints by hand: the second FK itself is right."""
     text = robots.urdf(
         dict(kind="revolute", xyz="0 0 1", rpy="0 0 1.5707963267948966"),
-        dict(kind="prismatic", axis="2 0 0", xyz="0.5 0 0", mimic='<mimic joint="j0" multiplier="3" offset="0.25"/>'),
+        dict(kind="prismatic", axis="2 0 0", xyz="0.5 0 0", mimic=tie("j0", 3, 0.25)),
     )
     T = SecondFK(text).fk([[0.3]], ["j0"])[0]
     angle = math.pi / 2 + 0.3

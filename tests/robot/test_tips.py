@@ -4,7 +4,7 @@ import json
 import logging
 
 import pytest
-from robots import joint
+from robots import branches, have_data, joint
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
@@ -14,21 +14,22 @@ from ik_toolkit.robot.load import read_source
 from ik_toolkit.robot.tips import guess_tip, words
 
 
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize("name", DATA_ROBOTS)
 def test_tips_of_example_robot_data_are_guessed(name):
     """The rows of the library name their tips by hand; the guess knows nothing of them."""
-    pytest.importorskip("yourdfpy")
     entry = find(name)
     assert guess_tip(read_source(str(entry.path), ())[1]["model"]).tips == entry.tips
 
 
+TWO = (joint("j1", "revolute", "o", "a"), joint("j2", "revolute", "a", "b"))
+
+
 def arm(*ends):
     """Two joints, then frames fixed to the last link; an end 'NAME/JOINT' is moved by a joint of its own."""
-    text = '<robot name="arm"><link name="o"/>' + joint("j1", "revolute", "o", "a") + joint("j2", "revolute", "a", "b")
-    for end in ends:
-        name, _, moved = end.partition("/")
-        text += joint(moved or f"{name}_fixed", "revolute" if moved else "fixed", "b", name)
-    return text + "</robot>"
+    cut = [end.partition("/") for end in ends]
+    fixed = [joint(moved or f"{name}_fixed", "revolute" if moved else "fixed", "b", name) for name, _, moved in cut]
+    return branches(*TWO, *fixed)
 
 
 @pytest.mark.parametrize(
@@ -51,16 +52,14 @@ def test_conventions(ends, tip, caplog):
 
 
 def test_what_carries_the_only_sensor_is_the_tip(caplog):
-    eye = arm("camera_link").replace(
-        "</robot>", joint("eye", "fixed", "camera_link", "camera_optical_frame") + "</robot>"
-    )
+    camera = joint("camera", "fixed", "b", "camera_link") + joint("eye", "fixed", "camera_link", "camera_optical_frame")
+    eye = branches(*TWO, camera)
     assert ik.Robot.load(eye).tip == "b" and "using tip 'b'" in caplog.text
 
 
 def test_equal_ends_are_not_guessed_between():
-    with pytest.raises(
-        FrameNotFound, match="several likely tips: left_tool, right_tool; choose one with tip="
-    ) as caught:
+    said = "several likely tips: left_tool, right_tool; choose one with tip="
+    with pytest.raises(FrameNotFound, match=said) as caught:
         ik.Robot.load(arm("left_tool/l", "right_tool/r", "camera"))
     assert caught.value.tips == ("left_tool", "right_tool", "camera")
     many = arm(*(f"end{i}/e{i}" for i in range(40)))
@@ -69,13 +68,12 @@ def test_equal_ends_are_not_guessed_between():
     assert len(str(caught.value)) < 200
 
 
-def scene(count, *things):
+def scene(count, *things, more=""):
     """An arm of `count` joints that ends in link `seg`, and things of a scene (name, joint type) beside it."""
-    text = '<robot name="scene"><link name="world"/>'
-    for i in range(count):
-        end = "seg" if i == count - 1 else f"l{i}"
-        text += joint(f"j{i}", "revolute", f"l{i - 1}" if i else "world", end)
-    return text + "".join(joint(f"{name}_joint", kind, "world", name) for name, kind in things) + "</robot>"
+    links = ["world", *(f"l{i}" for i in range(count - 1)), "seg"]
+    joints = [joint(f"j{i}", "revolute", links[i], links[i + 1]) for i in range(count)]
+    joints += [joint(f"{name}_joint", kind, "world", name) for name, kind in things]
+    return branches(*joints, more, root="world", name="scene")
 
 
 @pytest.mark.parametrize(
@@ -93,31 +91,30 @@ def test_things_of_a_scene_are_no_tips(things):
 
 
 def test_a_robot_on_a_floating_base_keeps_its_tip():
-    floats = '<robot name="r"><link name="world"/>' + joint("f", "floating", "world", "o")
-    text = floats + joint("j1", "revolute", "o", "a") + joint("j2", "revolute", "a", "hand") + "</robot>"
+    floats = joint("f", "floating", "o", "base")
+    text = branches(floats, joint("j1", "revolute", "base", "a"), joint("j2", "revolute", "a", "hand"))
     assert ik.Robot.load(text).tip == "hand" and ik.Robot.load(text, base_limits=(-1, 1)).n == 8
-    assert any("joint 'f' is held still and poses are given in 'o'" in note for note in ik.Robot.load(text).notes)
+    assert any("joint 'f' is held still and poses are given in 'base'" in note for note in ik.Robot.load(text).notes)
     assert any("joint 'f' is held" in note for note in ik.Tree.load(text, tips=["hand"]).notes)
     assert not ik.Robot.load(text, base_limits=(-1, 1)).notes
-    assert ik.Robot.load(floats + "</robot>", base_limits=(-1, 1)).tip == "o"
+    assert ik.Robot.load(branches(floats), base_limits=(-1, 1)).tip == "base"
 
 
 def test_a_sensor_of_one_joint_is_no_tip_of_two_arms():
-    text = '<robot name="h"><link name="pelvis"/>' + joint("waist", "revolute", "pelvis", "torso")
-    text += joint("lid", "fixed", "torso", "lidar_link") + joint("pole", "fixed", "torso", "pole_link")
+    joints = [joint("waist", "revolute", "o", "torso")]
+    joints += [joint(name, "fixed", "torso", f"{name}_link") for name in ("lidar", "pole")]
     for side in ("left", "right"):
-        text += joint(f"{side}_a", "revolute", "torso", f"{side}_upper")
-        text += joint(f"{side}_b", "revolute", f"{side}_upper", f"{side}_force_sensor")
+        joints.append(joint(f"{side}_a", "revolute", "torso", f"{side}_upper"))
+        joints.append(joint(f"{side}_b", "revolute", f"{side}_upper", f"{side}_force_sensor"))
     with pytest.raises(FrameNotFound, match="several likely tips: left_force_sensor, right_force_sensor"):
-        ik.Robot.load(text + "</robot>")
+        ik.Robot.load(branches(*joints))
 
 
 def test_the_tips_listed_are_the_known_ones_and_those_that_can_be_loaded(tmp_path, capsys):
     assert main(["info", "brokk_hydrolek", "--list-tips", "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["tips"]) == {"left_tip", "right_tip", "left_jaw", "right_jaw"}
     file = tmp_path / "scene.urdf"
-    text = '<robot name="r"><link name="o"/>' + joint("j1", "revolute", "o", "a") + joint("j2", "revolute", "a", "b")
-    file.write_text(text + joint("free", "floating", "o", "thing") + "</robot>")
+    file.write_text(branches(*TWO, joint("free", "floating", "o", "thing")))
     assert main(["info", str(file), "--list-tips", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tips"] == ["b"]
 
@@ -134,6 +131,5 @@ def test_words():
 
 def test_sensors_and_targets_are_no_tips_where_all_ends_have_names_of_parts():
     """Parts of a hand come before things of a scene: neither has the name of a tool."""
-    finger = scene(2, ("target", "prismatic"), ("lidar", "revolute")).replace("</robot>", "")
-    finger += joint("tip", "fixed", "seg", "fingertip") + joint("eye", "fixed", "seg", "camera") + "</robot>"
-    assert ik.Robot.load(finger).tip == "fingertip"
+    ends = joint("tip", "fixed", "seg", "fingertip") + joint("eye", "fixed", "seg", "camera")
+    assert ik.Robot.load(scene(2, ("target", "prismatic"), ("lidar", "revolute"), more=ends)).tip == "fingertip"
