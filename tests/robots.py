@@ -44,8 +44,9 @@ def joint(name, kind, parent, child, axis="0 0 1", xyz="0 0 0.2", rpy="0 0 0", l
 
 
 def tie(leader, ratio=1, offset=0):
-    """Return the <mimic> of a joint that is ratio times another plus offset."""
-    return f'<mimic joint="{leader}" multiplier="{ratio}" offset="{offset}"/>'
+    """Return the <mimic> of a joint that is ratio times another plus offset; what files may leave out is left out."""
+    more = (f' multiplier="{ratio}"' if ratio != 1 else "") + (f' offset="{offset}"' if offset else "")
+    return f'<mimic joint="{leader}"{more}/>'
 
 
 def branches(*joints, root="o", name="r"):

@@ -55,7 +55,10 @@ def test_a_path_and_a_run_stay_inside_them(told, run, arm, tmp_path):
         ("--limit j0:0,1:1", "--limit takes JOINT:LOWER:UPPER"),
         ("--limit j0:0:1 --limit j0:0:1", "'j0' twice"),
         ("--limit j0:0:9", "can only be narrowed: 0 to 9 rad"),
-        ("--deg --limit j0:0:200", "(0 to 200 deg) reaches beyond the robot's own -2 to 2 rad (-114.592"),
+        (
+            "--deg --limit j0:0:200",
+            "0 to 3.49066 rad (0 to 200 deg) reaches beyond the robot's own -2 to 2 rad (-114.592",
+        ),
         ("--limit j0:1:0", "'j0' are reversed"),
         ("--limit j0:0:1 --no-limits", "--limit has no effect without --limits"),
     ],

@@ -205,6 +205,7 @@ def test_info_of_a_file_with_several_tips_lists_them(told, run, tmp_path):
         "solvers state-space",
         "fk inspection_7dof",
         "check hydrolek_7w",
+        "solve brokk_hydrolek --from-q home --deg",
     ],
 )
 def test_no_table_is_wider_than_80_columns(run, words, monkeypatch):

@@ -109,7 +109,11 @@ def test_forms_of_limits(limits, lower):
         ({"on_base": "plane"}, InvalidOption, "Did you mean 'planar'"),
         ({"base_limits": (0, 1)}, InvalidOption, "for a moving base"),
         ({"on_base": np.eye(4), "base_limits": (0, 1)}, InvalidOption, "for a moving base"),
-        ({"on_base": "planar", "base_limits": (1, 0)}, InvalidOption, "of 'base_x' must be two finite numbers"),
+        (
+            {"on_base": "planar", "base_limits": (1, 0)},
+            InvalidOption,
+            "base_limits of 'base_x' must be two finite numbers",
+        ),
         ({"on_base": "planar", "base_limits": (0, np.inf)}, InvalidOption, "two finite numbers"),
         ({"on_base": "planar", "base_limits": {"base_z": (0, 1)}}, InvalidOption, "no coordinate 'base_z'"),
         ({"on_base": "planar", "base_limits": "far"}, InvalidOption, "for the prismatic joints of the base"),

@@ -167,7 +167,7 @@ def test_errors_name_row_and_column(change, message):
         (
             "t.csv",
             b"# convention = classic\n# angles = deg\n# lengths = m\nname,a\nj1,1,2\n",
-            "row 1 of the D-H table has 3",
+            "row 1 of the D-H table has 3 cells",
         ),
         ("t.csv", b"", "setting 'convention' is missing (in a CSV file, a line '# convention = ...')"),
         ("t.txt", b"", ".toml or .csv"),

@@ -140,6 +140,8 @@ def test_poses_and_mistakes(tmp_path):
     assert found.outcomes["lm"].solved == 200 and json.dumps(found.to_dict())
     with pytest.raises(InvalidOption, match="csv"):
         workspace(robot, ["lm"], targets=10, file=tmp_path / "x.txt")
+    with pytest.raises(InvalidOption, match="at least one"):
+        workspace(robot, [])
     with pytest.raises(InvalidOption, match="fraction"):
         workspace(robot, ["lm"], targets=10, check=2.0)
     assert workspace(robot, ["lm"], targets=10, check=1.0).outcomes["lm"].solved == 10
