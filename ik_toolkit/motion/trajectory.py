@@ -240,7 +240,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
 
 
 def _check_table(names: Any, values: np.ndarray, t: np.ndarray | None) -> None:
-    """Raise ValueError, saying what is wrong, unless every row has a value for each name and, if there are times, one of them."""
+    """Raise ValueError, saying what is wrong, unless every row has a value for each name and, if there are times, a finite one."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError("its joint_names are not a list of names")
     if not len(values):

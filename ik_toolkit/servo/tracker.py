@@ -245,9 +245,8 @@ class Tracker(CopiesViews, ReadOnly):
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
         now = self._carried.motion * self._units
-        errors = (
-            self._out.E.copy() if stream.kinds else np.full_like(self._out.E, np.nan)
-        )  # before any target they are unknown
+        # Before the first finite target there is no error to tell.
+        errors = self._out.E.copy() if stream.kinds else np.full_like(self._out.E, np.nan)
         out = make_outcome((
             self._judged, code, before, errors, stream.samples.block.copy(), dt, h, lost,
             self._state[STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,

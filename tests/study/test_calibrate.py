@@ -370,8 +370,9 @@ def test_command(run, told, refused, arm, good, tmp_path):
     assert max(map(len, said.splitlines())) <= 100 and "<svg" in page.read_text()
     made = ik.Robot.load(urdf, tip="tool").fk(Q[0]).homogeneous
     assert np.abs(made - good[0].fk(Q[0]).homogeneous).max() < 1e-6
-    value = told(*words)["errors"]["elbow_pitch.offset"]["value"]
-    assert value == pytest.approx(good[0].errors["elbow_pitch.offset"][0], abs=1e-6)
+    for more in ((), ("--prior", 0.01, np.degrees(0.035))):  # the default, typed
+        value = told(*words, *more)["errors"]["elbow_pitch.offset"]["value"]
+        assert value == pytest.approx(good[0].errors["elbow_pitch.offset"][0], abs=1e-6)
     np.savez(tmp_path / "m.npz", q=Q, measured=m)
     code, said, _ = run("calibrate", "hydrolek_7w", "--data", tmp_path / "m.npz")
     assert code == 0 and "27 of 42 unknowns" in said
