@@ -41,7 +41,7 @@ def test_what_is_no_vector_is_named(text, size, error, says):
         ("[1, 2.5]", [1, 2.5]),
         ("True", True),
         ("false", False),
-        ("mid", "mid"),
+        ("mid-range", "mid-range"),
     ],
 )
 def test_a_parameter_is_a_number_a_list_or_a_word(text, value):
