@@ -311,11 +311,6 @@ def fail(position):
     return ik.solve(planar(), position).raise_for_status()
 
 
-def test_what_is_kept_of_a_batch_says_how_much():
-    stop = pickle.loads(pickle.dumps(ik.BatchInterrupted(batch(), "after 2 targets")))
-    assert str(stop) == "interrupted after 2 targets" and len(stop.result) == 2
-
-
 def test_enums_stay_what_they_are():
     for name in ("Status", "PathStatus", "StepStatus"):
         for one in getattr(ik, name):

@@ -310,6 +310,7 @@ def test_an_interrupt_keeps_what_is_finished():
         ik.solve_batch(robot, T, "lm", progress=stop)
     kept = caught.value.result
     assert isinstance(caught.value, KeyboardInterrupt) and 5000 <= len(kept) < 20000
+    assert str(caught.value) == f"interrupted after {len(kept)} targets"
     assert np.array_equal(kept.table, whole.table[: len(kept)], equal_nan=True)
 
 
