@@ -63,9 +63,11 @@ def test_update_changes_robot_tip_target_and_caption_together(arm):
     assert np.allclose(drawn["target"], other.homogeneous, atol=1e-12)
     assert np.allclose(drawn["tip"], arm.fk(second.q).homogeneous, atol=1e-9)
     assert scene.window.about["lines"] == [f"{second.solver}: CONVERGED", second.message]
-    assert drawn.keys() == expected.keys() and all(np.allclose(drawn[one], expected[one]) for one in drawn)
+    assert drawn.keys() == expected.keys()
+    assert all(np.allclose(drawn[one], expected[one], atol=1e-12) for one in drawn)
     assert {*scene.names} == {*view(arm, second, target=other).names}
     scene.update(arm.home)  # the target stays, and nothing else
+    assert scene.window.about["animation"] is None
     assert {*scene.names} == {"robot", "tip", "target"} and scene.window.about["lines"] == []
     scene.update([arm.home, arm.lower, arm.upper])
     assert {"ghost_1", "ghost_2", "target"} <= {*scene.names}
