@@ -147,6 +147,13 @@ def test_jacobian_methods_stand_still_on_the_straight_arm():
         assert moved.success or solver == "pinv"  # its first steps are huge, into the limits
 
 
+def test_published_goal_is_out_of_reach():
+    robot = robots.load("hydrolek_7w")
+    for unit in (1e-2, 1e-3):
+        result = ik.solve(robot, paper.TO_PAPER.T @ (np.array([-10.0, 50, -20]) * unit))
+        assert not result.success and result.position_error > 0.5
+
+
 @pytest.mark.slow
 def test_the_report(tmp_path):
     report = paper.reproduce(seeds=1)

@@ -82,7 +82,7 @@ def test_closest_is_nearest_among_all_branches():
     robot = robots.load("locked")  # six joints: isolated solutions, all known from the closed form
     Q, T = robots.sample(robot, 40, seed=33)
     rng = np.random.default_rng(0)
-    nearest, ignored = 0, 0
+    nearest, ignored, moved = 0, 0, 0
     for target in T:
         every = ik.solve_all(robot, target)
         reference = robot.random_q(rng)
@@ -91,7 +91,10 @@ def test_closest_is_nearest_among_all_branches():
         assert found.success
         nearest += np.linalg.norm(found.q - reference) < best + 1e-3
         ignored += np.linalg.norm(ik.solve(robot, target, "lm").q - reference) < best + 1e-3
-    assert nearest >= 36
+        home, near, plain = (ik.solve(robot, target, "lm", closest=to).q for to in (robot.home, True, False))
+        assert np.allclose(near, home, atol=1e-9)
+        moved += np.abs(plain - home).max() > 0.1
+    assert nearest >= 36 and moved > 5
     assert ignored < nearest - 5
 
 
@@ -100,8 +103,6 @@ def test_closest_keeps_a_solved_reference():
     q = robot.random_q(np.random.default_rng(3))
     result = ik.solve(robot, robot.fk(q), closest=q)
     assert np.allclose(result.q, q, atol=1e-6)
-    q = robot.home + 0.05
-    assert np.allclose(ik.solve(robot, robot.fk(q), closest=True).q, q, atol=1e-5)  # closest to home
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "slides_mix"])
