@@ -65,15 +65,21 @@ def test_an_answer_near_a_reference_is_no_farther_than_one_without(robot, option
         assert near.status is plain.status and (not plain.success or far[1] <= far[0] * (1.0 + 1e-12))
 
 
-def test_reference_objective_ends_where_no_self_motion_is_nearer():
+@pytest.mark.parametrize(
+    ("name", "rows", "weights"),
+    [("planar_3r", 2, (0.2, 1.0, 5.0)), ("inspection_7dof", 6, (1.0, 0.3, 2.0, 1.0, 0.5, 1.0, 4.0))],
+)
+def test_reference_objective_ends_where_no_self_motion_is_nearer(name, rows, weights):
     """At the end the gradient of the weighted distance has no part along the self-motion, unless a limit is in the way."""
-    robot, weights, seen = robots.load("planar_3r"), np.array([0.2, 1.0, 5.0]), 0
+    robot, seen = robots.load(name), 0
     for q in robots.sample(robot, 40, seed=34)[0]:
         q0 = 0.5 * (q + robot.home)
-        found = ik.solve(robot, robot.fk(q).translation, "lm", q0=q0, objective="reference", joint_weights=weights)
+        target = robot.fk(q).translation if rows < 6 else robot.fk(q)
+        found = ik.solve(robot, target, "lm", q0=q0, objective="reference", joint_weights=weights)
         if found.success and not found.limited_joints:
-            along = np.linalg.svd(robot.jacobian(found.q)[:2])[2][2]  # the direction of the self-motion
-            assert abs(along @ ((found.q - q0) / weights)) < 1e-3
+            J = robot.jacobian(found.q)[:rows] * robot.chain.unit
+            along = np.linalg.svd(J)[2][-1]  # the direction of the self-motion
+            assert abs(along @ ((found.q - q0) / robot.chain.unit / weights)) < 1e-3
             seen += 1
     assert seen > 10
 
