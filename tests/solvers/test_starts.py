@@ -34,10 +34,10 @@ def test_degrees_are_doubted_and_clamping_is_said(entrance, caplog, monkeypatch)
 
 @pytest.mark.parametrize("entrance", ENTRANCES)
 def test_a_start_inside_is_not_spoken_of_and_wrong_ones_are_named(entrance):
-    robot = robots.load("ur5")
-    T = robot.fk(robot.home).homogeneous
-    for inside in (robot.home, robot.lower, robot.upper):
-        assert "clamped" not in ENTRANCES[entrance](robot, T, inside)
+    for robot in (robots.load("slides_mix"), robots.load("ur5")):
+        T = robot.fk(robot.home).homogeneous
+        for inside in (robot.home, robot.lower, robot.upper):
+            assert "clamped" not in ENTRANCES[entrance](robot, T, inside)
     for wrong in (np.nan, np.inf):
         with pytest.raises(InvalidConfiguration, match=f"q0.* is not finite at joint {robot.joint_names[4]}"):
             ENTRANCES[entrance](robot, T, np.where(np.arange(6) == 4, wrong, robot.home))
