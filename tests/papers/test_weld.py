@@ -179,7 +179,7 @@ def dense_program(rows, step):
 def test_least_travel_is_least():
     """Against a dense dynamic programme, which is never below the least and above it by its rounding at most."""
     rng, step, found = np.random.default_rng(3), 0.004, 0
-    for _ in range(60):
+    for _ in range(CASES):
         rows, windows = random_rows(rng)
         found += all(a[0] <= b[1] and b[0] <= a[1] for (a,), (b,) in pairwise(rows))
         for d in least_travel(windows, margin=0.0).values():

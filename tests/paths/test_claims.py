@@ -37,7 +37,8 @@ def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
     whole = spun(np.linspace(170.0, 510.0, 137))
     assert whole.success and not whole.reconfigurations and whole.lower_bound == 0
     dense = spun(np.arange(0.0, 801.0, 2.5))
-    assert (dense.q >= dense.robot.lower).all() and (dense.q <= dense.robot.upper).all()
+    for made in (whole, dense):
+        assert (made.q >= made.robot.lower).all() and (made.q <= made.robot.upper).all()
     assert dense.status == PathStatus.RECONFIGURES and len(dense.reconfigurations) == 2 == dense.lower_bound
     assert "with 2 reconfigurations (provably the fewest), after pose" in dense.message
     # Between poses far apart several breaks would count as one, so no more than one is proven to be needed.

@@ -80,6 +80,7 @@ def test_fewest_reconfigurations_of_a_branch_that_ends(flat):
         "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"
     )
     assert ends >= at, "the best partial path is as long as it can be"
+    assert ik.solve_path(flat, T, reconfigurations=0).message == none.message
     assert ik.solve_path(flat, T, reconfigurations=1).success
 
 

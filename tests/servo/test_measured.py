@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+from references import Q0
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -10,12 +11,13 @@ from ik_toolkit.servo.step import StepStatus
 
 H = 1e-3  # s
 START = np.array([0.1, 0.5, 0.4])
+STARTS = {"planar_3r": START, "panda": np.array(Q0)}
 RADIUS = 0.05  # m
 
 
 def targets(robot, steps, h=H):
     """A circle that is entered slowly, at half a turn a second."""
-    T = np.tile(robot.fk(START).homogeneous, (steps, 1, 1))
+    T = np.tile(robot.fk(STARTS[robot.name]).homogeneous, (steps, 1, 1))
     t = h * np.arange(1, steps + 1)
     phase, grown = np.pi * t, np.clip(t / 0.5, 0.0, 1.0) ** 2
     T[:, 0, 3] += RADIUS * grown * (np.cos(phase) - 1.0)
@@ -26,8 +28,9 @@ def targets(robot, steps, h=H):
 def follow(robot, sigma, true=2, steps=1500, h=H, measured=True, method="cv", **options):
     """Errors of the real joints [m], accelerations [rad/s^2] and statuses after the beginning; true: samples of delay."""
     rng = np.random.default_rng(8)
-    tracker = ik.Tracker(robot, method, q0=START, **options)
-    real, rates, errors, statuses = [START] * (true + 1), [np.zeros(robot.n)], [], set()
+    start = STARTS[robot.name]
+    tracker = ik.Tracker(robot, method, q0=start, **options)
+    real, rates, errors, statuses = [start] * (true + 1), [np.zeros(robot.n)], [], set()
     for k, target in enumerate(targets(robot, steps, h)):
         q = real[-1 - true] + sigma * rng.standard_normal(robot.n) if measured else None
         step = tracker.update(target, h, q=q)
@@ -58,11 +61,12 @@ def test_noise_that_is_told_is_taken_more_slowly():
     assert errors.max() < 1e-3 and told.std() < 0.8 * untold.std()
 
 
+@pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize("method", ["cv", "ca"])
 @pytest.mark.parametrize(("assumed", "true"), [(0, 3), (2, 0), (2, 2), (2, 4), (2, 6), (2, 8), (5, 2)])
-def test_a_wrong_delay_does_not_make_it_swing(assumed, true, method):
+def test_a_wrong_delay_does_not_make_it_swing(assumed, true, method, name):
     """The tip leads or lags by what the delay is wrong, without growing."""
-    robot = robots.load("planar_3r")
+    robot = robots.load(name)
     errors, _, _ = follow(robot, 0.0, true=true, steps=400, h=0.01, delay=assumed, noise=0.0, method=method)
     off = RADIUS * np.pi * 0.01 * abs(assumed - true)  # m, what the tip does in that time
     assert errors.max() <= 1.6 * off + 1e-4

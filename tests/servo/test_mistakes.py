@@ -103,5 +103,6 @@ def test_dt_and_stretch(planar):
         ik.track(planar, line(planar), dt=0.5)
     with pytest.raises(InvalidOption, match="slack is kept by the constrained step"):
         ik.track(planar, line(planar), on_limit="clip", slack=SLACK)
+    assert ik.track(planar, line(planar), on_limit="leave", slack=SLACK).success
     with pytest.raises(InvalidConfiguration, match=r"q0 is outside the limits of joint_2; move it inside or use"):
         ik.track(planar, line(planar), q0=[0.0, planar.upper[1] + 0.1])

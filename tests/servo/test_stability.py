@@ -109,6 +109,10 @@ def test_unstable_gains_get_a_sentence_and_a_way_out(method, gains):
     assert st.check_gains(method, h, **found.suggestion).stable
     assert st.check_gains(method, found.longest_step * 0.999, **gains).stable
     assert not st.check_gains(method, found.longest_step * 1.001, **gains).stable
+    assert st.check_gains("cv", 0.01, kappa=300.0).message == (
+        "cv at h = 0.01 s is unstable at rest: kappa h = 3, stable between 0 and 1; spectral radius 3.886. "
+        "Try kappa = 66.667, or a rate above 300 Hz."
+    )
 
 
 # ------------------------------------------------------------------------------------------- delay, noise, a path

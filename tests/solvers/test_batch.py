@@ -132,7 +132,7 @@ def test_mistakes_are_named_with_their_row():
     assert ik.solve_batch(robot, T[:1], q0=q0[2400:2401]).success.all()  # clamped otherwise
     with pytest.raises(InvalidConfiguration, match="shape"):
         ik.solve_batch(robot, T, q0=q0[:5])
-    with pytest.raises(InvalidConfiguration, match="fewer"):
+    with pytest.raises(InvalidConfiguration, match="q0 has 5 rows, fewer than there are targets"):
         ik.solve_batch(robot, iter([T[:4], T[4:8]]), q0=q0[:5])
     with pytest.raises(InvalidConfiguration, match="q0 has 9 rows, more than the 8 targets"):
         ik.solve_batch(robot, iter([T[:4], T[4:8]]), q0=q0[:9])

@@ -25,8 +25,7 @@ def test_a_failed_closed_form_leaves_the_search_what_is_left(name, solver):
         for T in searched:
             result = bound(T)
             assert 1 <= result.fk_evaluations <= budget
-            if result.status == ik.Status.ITERATION_LIMIT:
-                assert f"limit of {budget} evaluation" in result.message
+            assert result.status == plain(T).status  # which the closed form has proven
             assert not robot.outside(result.q)
         batch = ik.solve_batch(robot, np.array(searched), solver, max_evaluations=budget)
         for row, T in zip(batch, searched, strict=True):

@@ -325,6 +325,8 @@ def test_counts_are_whole_numbers_however_they_are_written():
     for wrong in (2.5, "3", True, math.nan, [3], 0):
         with pytest.raises(InvalidOption, match="count must be a whole number of at least 1, not "):
             ik.solve_all(robot, T, count=wrong)
+        with pytest.raises(InvalidOption, match="starts must be a whole number of at least 1, not "):
+            ik.solve_all(robot, T, starts=wrong)
 
 
 def test_lengths_in_messages_are_in_metres_where_they_are_long():

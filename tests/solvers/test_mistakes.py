@@ -22,7 +22,10 @@ def arm():
     [
         (dict(TOLERANCE=1e-3), "Did you mean 'tolerance'"),
         (dict(tolerances=1e-3), r"there is no option 'tolerances'\. Did you mean 'tolerance'"),
-        (dict(tolerance="small"), "tolerance must be a number"),
+        *[
+            (dict(tolerance=no), "tolerance must be a number")
+            for no in ("small", "1", True, 1j, np.timedelta64(1, "s"), np.ma.masked)
+        ],
         (dict(tolerance=-1.0), r"^tolerance must be finite and at least 1e-14, not -1\.0"),
         (dict(tolerance=np.nan), "finite and at least 1e-14"),
         (dict(max_iterations=2.5), "whole number"),

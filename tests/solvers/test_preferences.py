@@ -65,15 +65,21 @@ def test_an_answer_near_a_reference_is_no_farther_than_one_without(robot, option
         assert near.status is plain.status and (not plain.success or far[1] <= far[0] * (1.0 + 1e-12))
 
 
-def test_reference_objective_ends_where_no_self_motion_is_nearer():
+@pytest.mark.parametrize(
+    ("name", "rows", "weights"),
+    [("planar_3r", 2, (0.2, 1.0, 5.0)), ("inspection_7dof", 6, (1.0, 0.3, 2.0, 1.0, 0.5, 1.0, 4.0))],
+)
+def test_reference_objective_ends_where_no_self_motion_is_nearer(name, rows, weights):
     """At the end the gradient of the weighted distance has no part along the self-motion, unless a limit is in the way."""
-    robot, weights, seen = robots.load("planar_3r"), np.array([0.2, 1.0, 5.0]), 0
+    robot, seen = robots.load(name), 0
     for q in robots.sample(robot, 40, seed=34)[0]:
         q0 = 0.5 * (q + robot.home)
-        found = ik.solve(robot, robot.fk(q).translation, "lm", q0=q0, objective="reference", joint_weights=weights)
+        target = robot.fk(q).translation if rows < 6 else robot.fk(q)
+        found = ik.solve(robot, target, "lm", q0=q0, objective="reference", joint_weights=weights)
         if found.success and not found.limited_joints:
-            along = np.linalg.svd(robot.jacobian(found.q)[:2])[2][2]  # the direction of the self-motion
-            assert abs(along @ ((found.q - q0) / weights)) < 1e-3
+            J = robot.jacobian(found.q)[:rows] * robot.chain.unit
+            along = np.linalg.svd(J)[2][-1]  # the direction of the self-motion
+            assert abs(along @ ((found.q - q0) / robot.chain.unit / weights)) < 1e-3
             seen += 1
     assert seen > 10
 
@@ -82,7 +88,7 @@ def test_closest_is_nearest_among_all_branches():
     robot = robots.load("locked")  # six joints: isolated solutions, all known from the closed form
     Q, T = robots.sample(robot, 40, seed=33)
     rng = np.random.default_rng(0)
-    nearest, ignored = 0, 0
+    nearest, ignored, moved = 0, 0, 0
     for target in T:
         every = ik.solve_all(robot, target)
         reference = robot.random_q(rng)
@@ -91,7 +97,10 @@ def test_closest_is_nearest_among_all_branches():
         assert found.success
         nearest += np.linalg.norm(found.q - reference) < best + 1e-3
         ignored += np.linalg.norm(ik.solve(robot, target, "lm").q - reference) < best + 1e-3
-    assert nearest >= 36
+        home, near, plain = (ik.solve(robot, target, "lm", closest=to).q for to in (robot.home, True, False))
+        assert np.allclose(near, home, atol=1e-9)
+        moved += np.abs(plain - home).max() > 0.1
+    assert nearest >= 36 and moved > 5
     assert ignored < nearest - 5
 
 
@@ -100,8 +109,6 @@ def test_closest_keeps_a_solved_reference():
     q = robot.random_q(np.random.default_rng(3))
     result = ik.solve(robot, robot.fk(q), closest=q)
     assert np.allclose(result.q, q, atol=1e-6)
-    q = robot.home + 0.05
-    assert np.allclose(ik.solve(robot, robot.fk(q), closest=True).q, q, atol=1e-5)  # closest to home
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "slides_mix"])

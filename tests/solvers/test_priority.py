@@ -112,11 +112,12 @@ def test_palletizer_is_off_by_the_tilt_of_the_target():
         assert result.orientation_error == pytest.approx(tilt, abs=1e-6) or result.limited_joints
 
 
-def test_a_redundant_arm_loses_no_pose_that_it_can_reach():
-    robot, rng = ik.Robot.load("inspection_7dof"), np.random.default_rng(6)
+@pytest.mark.parametrize(("name", "least"), [("inspection_7dof", 1.0), *([("panda", 0.99)] if have_data() else [])])
+def test_a_redundant_arm_loses_no_pose_that_it_can_reach(name, least):
+    robot, rng = ik.Robot.load(name), np.random.default_rng(6)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(200)])
     done = ik.solve_batch(robot, T, priority="position")
-    assert done.success.all() and done.orientation_error.max() <= 1e-6
+    assert done.success.all() and (done.orientation_error <= 1e-6).mean() >= least
 
 
 def test_out_of_reach_the_position_is_nearest_and_says_so():

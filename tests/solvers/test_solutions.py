@@ -45,6 +45,7 @@ def test_folded_links_are_a_family_of_every_angle_within_limits(limits):
     assert (family.lower, family.upper) == pytest.approx((low, high))
     step = 2 * half / (len(found) - 1)  # of two ends that are a turn apart one is listed
     assert len(found) <= 9 and found.q[:, 0].min() < low + 1.1 * step and found.q[:, 0].max() > high - 1.1 * step
+    assert half == np.pi or (len(found), found.q[:, 0].min(), found.q[:, 0].max()) == (9, *limits)
     assert f"j0 is free from {low:.6g} to {high:.6g} rad" in found.message
     for q0 in np.linspace(*limits, 4):
         (family,) = ik.solve_all(robot, [0.0, 0.0, 0.2], q0=[q0, 0.0], count=9).families
@@ -61,6 +62,10 @@ def test_a_wrist_that_leaves_an_angle_free_is_a_family_and_a_straight_elbow_is_n
     assert set(found.families[0].joints) >= {"shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_3_joint"}
     assert found.families[0].joints[0] == "wrist_3_joint"  # It may turn as far as its limits let it.
     assert (found.families[0].lower, found.families[0].upper) == (robot.lower[5], robot.upper[5])
+    for x in np.linspace(-3.0, 3.0, 5):
+        values = {"shoulder_pan_joint": (0.3, 0.01), "wrist_2_joint": (0.0, 0.01), "wrist_3_joint": (x, 1e-9)}
+        box = {name: (value - off, value + off) for name, (value, off) in values.items()}
+        assert ik.solve(robot, robot.fk(q), "lm", limits=box, restarts=60).success
     q = np.array([0.3, -1.2, 0.0, -0.5, 0.9, 0.8])
     found = ik.solve_all(robot, robot.fk(q), starts=300)
     assert found.families == () and away(found.q, q).min() < 1e-3
@@ -100,6 +105,7 @@ def test_a_bound_list_is_that_of_solve_all_and_names_its_branches():
     planar = ik.Solver(ik.Robot.load("planar_2r"))
     both = planar.all(np.array([[0.9, 0.9, 0.0], [0.5, 1.0, 0.0]]))
     assert both.branches.tolist() == [[0, 1, 0], [0, -1, 0]] * 2 or both.branches[:, 1].sum() == 0
+    assert both.orientation_error is None
     rough = T[0].round(5)
     assert len(solver.all(rough)) == 8 and "projected" in solver.all(rough).message
 

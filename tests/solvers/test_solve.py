@@ -145,6 +145,7 @@ def test_a_start_given_again_finds_the_same():
     Q[:, held] = Q0[:, held]
     points = [robot.fk(q) for q in Q]
     first = [solver(point, q0=q0).q for point, q0 in zip(points, Q0, strict=True)]
+    assert np.allclose(np.array(first)[:, held], Q0[:, held], rtol=0, atol=1e-12)
     back = [solver(point, q0=q0).q for point, q0 in zip(points[::-1], Q0[::-1], strict=True)][::-1]
     assert np.array_equal(first, back)
 

@@ -34,11 +34,13 @@ def test_degrees_are_doubted_and_clamping_is_said(entrance, caplog, monkeypatch)
 
 @pytest.mark.parametrize("entrance", ENTRANCES)
 def test_a_start_inside_is_not_spoken_of_and_wrong_ones_are_named(entrance):
-    robot = robots.load("ur5")
-    T = robot.fk(robot.home).homogeneous
-    assert "clamped" not in ENTRANCES[entrance](robot, T, robot.home)
-    with pytest.raises(InvalidConfiguration, match=f"q0.* is not finite at joint {robot.joint_names[4]}"):
-        ENTRANCES[entrance](robot, T, np.where(np.arange(6) == 4, np.nan, robot.home))
+    for robot in (robots.load("slides_mix"), robots.load("ur5")):
+        T = robot.fk(robot.home).homogeneous
+        for inside in (robot.home, robot.lower, robot.upper):
+            assert "clamped" not in ENTRANCES[entrance](robot, T, inside)
+    for wrong in (np.nan, np.inf):
+        with pytest.raises(InvalidConfiguration, match=f"q0.* is not finite at joint {robot.joint_names[4]}"):
+            ENTRANCES[entrance](robot, T, np.where(np.arange(6) == 4, wrong, robot.home))
 
 
 def test_rows_of_a_batch_are_named_and_counted():
@@ -47,5 +49,5 @@ def test_rows_of_a_batch_are_named_and_counted():
     q[[1, 3], 2] = 4.0
     said = ik.solve_batch(robot, [T] * 5, q0=q).notice
     assert "target 1 " in said and "2 of 5 starts" in said and robot.joint_names[2] in said
-    with pytest.raises(InvalidConfiguration, match="q0 of target 1 is outside"):
+    with pytest.raises(InvalidConfiguration, match=f"q0 of target 1 is outside.*{robot.joint_names[2]}"):
         ik.solve_batch(robot, [T] * 5, q0=q, q0_outside="refuse")
