@@ -232,7 +232,7 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
         # The types are in the key because named tuples of equal numbers are equal, and so are 1 and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = kept.get(key)
-    except TypeError:  # a parameter such as a matrix cannot be hashed, so the solver is not cached
+    except (TypeError, ValueError):  # a parameter such as a matrix cannot be hashed, so the solver is not cached
         return Solver(robot, solver, **options)
     if found is None:
         with _SOLVERS_LOCK:

@@ -24,7 +24,7 @@ def arm():
         (dict(tolerances=1e-3), r"there is no option 'tolerances'\. Did you mean 'tolerance'"),
         *[
             (dict(tolerance=no), "tolerance must be a number")
-            for no in ("small", "1", True, 1j, np.timedelta64(1, "s"), np.ma.masked)
+            for no in ("small", "1", True, 1j, np.timedelta64(1, "s"), np.timedelta64(1), np.ma.masked)
         ],
         (dict(tolerance=-1.0), r"^tolerance must be finite and at least 1e-14, not -1\.0"),
         (dict(tolerance=np.nan), "finite and at least 1e-14"),
