@@ -36,6 +36,7 @@ COMPARISONS = {
 }  # fmt: skip
 COMPILED = (
     "cached",
+    "cached_small",
     "inner",
     "inline",
     "shared",
