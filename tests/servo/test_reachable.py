@@ -117,6 +117,13 @@ def test_several_tips_get_a_path_each():
     assert set(motion) == set(tree.tips) and survey(tree, motion, tree.home).whole
 
 
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_joints_at_a_limit_swing_away_from_it(end):
+    robot = ik.Robot.load("planar_2r")
+    q0 = getattr(robot, end)
+    assert survey(robot, joint_motion(robot, q0), q0).whole
+
+
 def test_what_is_asked_for_is_kept(arm):
     q0 = arm.home + 0.05
     motion = joint_motion(arm, q0, position_only=True, duration=4.0)
@@ -124,6 +131,7 @@ def test_what_is_asked_for_is_kept(arm):
     assert np.allclose(motion.target(0.0), arm.fk(q0).translation) and np.allclose(
         motion.target(4.0), motion.target(0.0)
     )
+    assert np.allclose(draw("line", (1, 0, 0), 0.5).target(1e9), (1.5, 0, 0))  # also from a place in whole metres
     with pytest.raises(InvalidOption, match="Did you mean 'circle'"):
         draw("circel", np.eye(4), 0.1)
 
