@@ -284,19 +284,18 @@ def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: i
     if _free(margins, a, b):
         return np.array([a, b])
     ends = time.perf_counter() + SECONDS
-    trees = [_Branches(a), _Branches(b)]
-    for k in range(NODES):
+    other, grown = _Branches(a), _Branches(b)
+    for _ in range(NODES):
         if time.perf_counter() > ends:
             return None
-        grown, other = trees[k % 2], trees[1 - k % 2]
+        grown, other = other, grown
         new = grown.extend(margins, robot, rng.uniform(low, high))
         if new is None:
             continue
         met = other.reach_for(margins, robot, grown.points[new])
         if met is not None:
-            way = [grown.way(new), other.way(met)]
-            corners = np.vstack([way[0][::-1], way[1]] if k % 2 == 0 else [way[1][::-1], way[0]])
-            return _shortened(margins, corners, rng, ends)
+            corners = np.vstack([grown.way(new)[::-1], other.way(met)])
+            return _shortened(margins, corners if grown.points[0] is a else corners[::-1], rng, ends)
     return None
 
 

@@ -330,7 +330,7 @@ class Robot(Joints):
 
     def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Robot":
         other = self._variant()
-        other._ranges = {**self._ranges, **ranges}
+        other._ranges = ranges
         other._build(np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
         return other
 

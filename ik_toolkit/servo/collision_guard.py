@@ -112,7 +112,6 @@ class Guard:
         path, ks = self._follow(q[None], still[None], 1.0), np.arange(len(self._keep))[:1]
         if path is None:
             return
-        space.place(q)
         space.move()
         way = path.q, path.rate, path.length, self.gamma, path.h
         along(*way, 0.0, still.copy(), np.empty_like(still))

@@ -221,7 +221,8 @@ def _certain(plan: Plan, T: np.ndarray, q0: Any, count: int) -> CertainLists:
     notice = ""
     if q0 is not None:
         start, notice = plan.check_start(q0)
-        box = np.vstack([box[:2], start, box[3:]])
+        box = box.copy()
+        box[2] = start
     table, notes = plan.rule.certain(plan.chain, forms, p, opt, T, box, count)
     return CertainLists(plan, final, table, notes, notice)
 

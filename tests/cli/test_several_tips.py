@@ -301,6 +301,7 @@ def test_csv_files_that_are_wrong_are_named(refused, tmp_path, header, row, said
     [
         ({"targets": np.zeros((3, 4, 4))}, "have the shape (N, 2, 4, 4) or (N, 2, 3), not (3, 4, 4)"),
         ({"targets": np.zeros((3, 2, 3)), "tips": [LEFT, "right"]}, "'right' of 'tips' is not solved for"),
+        ({"targets": np.zeros((3, 2, 3)), "tips": [LEFT, LEFT]}, "targets of left_tip, left_tip have the shape"),
         ({"left_tp": np.zeros((3, 3))}, "Did you mean 'left_tip'"),
         ({LEFT: np.zeros((3, 3)), "right_tp": np.zeros((3, 3))}, "Did you mean 'right_tip'"),
         ({LEFT: np.zeros((3, 3)), RIGHT: np.zeros((2, 3))}, "left_tip has 3, right_tip has 2"),

@@ -122,6 +122,16 @@ def test_the_bound_is_near_what_is_found():
     assert np.median(ratios) < 3.0
 
 
+@pytest.mark.parametrize("what", COUNTS)
+def test_where_nothing_moves_the_bound_is_the_tolerance(what):
+    robot = loaded("hydrolek_7w")
+    plan, kinds = plan_for(robot, **COUNTS[what]), kinds_of(robot, what)
+    T = np.array([[robot.fk(robot.home).homogeneous]] * 2)
+    deviation, turn = bounds(plan, kinds, np.array([robot.home] * 2), np.arange(2.0), T)
+    assert deviation[0] == pytest.approx(plan.options.position_tolerance)
+    assert turn[0] == pytest.approx(plan.options.orientation_tolerance if what != "position" else 0.0)
+
+
 def test_poses_are_inserted_until_steps_and_bounds_hold():
     robot = loaded("hydrolek_7w")
     plan = plan_for(robot)

@@ -154,6 +154,7 @@ def test_a_ball_is_three_revolute_joints():
     model.addFrame(pin.Frame("hand", elbow, 0, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), pin.FrameType.BODY))
     robot = ik.Robot(model, tip="hand")
     assert robot.joint_names == ("shoulder_yaw", "shoulder_pitch", "shoulder_roll", "elbow")
+    assert (robot.lower[1], robot.upper[1]) == (-np.pi / 2, np.pi / 2)  # with less, some rotations are out of reach
     check_fk(robot, model, 1)
     assert solved(robot, 20) == 20
 

@@ -76,6 +76,13 @@ def test_a_wrist_whose_offsets_are_rounding_is_taken_and_solved(left):
         assert ik.solve(robot, robot.fk(q)).success
 
 
+def test_an_arm_far_from_its_base_frame_is_taken():
+    """As far as a satellite from the centre of the earth: rounding there is far above 1e-9 of the arm's reach."""
+    first = dict(kind="revolute", axis="0 1 0", xyz="-39123456.7 12345678.9 8765432.1", rpy="0.3 0.2 0.1")
+    others = [dict(kind="revolute", axis=axis, xyz="0.1 0 0.3", rpy="0.3 0.2 0.1") for axis in ("0 0 1", "0 1 0")]
+    assert ik.Robot.load(urdf(first, *others)).reach < 1.0
+
+
 def test_only_what_means_none_is_no_limit(caplog):
     def slide(low, high, kind="prismatic"):
         return ik.Robot.load(

@@ -22,7 +22,7 @@ ARM = """<mujoco model="arm"><compiler meshdir="meshes" eulerseq="zyx"/><include
   <joint name="turn" axis="0 0 1" pos="0.05 0.02 0" range="-170 170" ref="20"/>
   <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.02"/>
   <body name="upper" pos="0 0 0.3"><joint name="shoulder" type="ball" pos="0 0 0.01"/>
-   <geom type="mesh" mesh="tri" pos="0.1 0.2 0.3" axisangle="1 0 0 40" contype="0" conaffinity="0"/>
+   <geom type="mesh" mesh="tri" pos="0.1 0.2 0.3" axisangle="1 0 0 40" group="2" contype="0" conaffinity="0"/>
    <geom type="ellipsoid" size="0.01 0.02 0.03"/>
    <frame pos="0.3 0 0" euler="0 10 0"><body name="lower"><joint name="elbow" class="elbow"/><joint name="twist" axis="1 0 0"/>
     <geom type="box" size="0.1 0.02 0.02" pos="0.1 0 0" group="3"/>

@@ -57,6 +57,8 @@ def test_remarks_say_what_is_not_in_the_robot(arm, caplog):
     found = robot(several)
     assert found.named["s"][1] == found.home[1] and found.named["s"][2] == 0.5
     assert "joint 'j1' with several values is ignored" in found.srdf.against(found.model)[0]
+    tied = robot('<virtual_joint name="v" type="fixed" parent_frame="world" child_link="l0"/><passive_joint name="v"/>')
+    assert not tied.srdf.against(tied.model)
 
 
 LOST = '<group name="g"><chain base_link="l0" tip_link="l44"/></group>'

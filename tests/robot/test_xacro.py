@@ -97,7 +97,7 @@ def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
         pytest.param("""<link name="${env('HOME')}"/>""", "'env' is not defined", marks=SLOW),
         ('<xacro:include filename="package://nowhere/x.xacro"/>', "no package 'nowhere'"),
         pytest.param('<xacro:include filename="package://../x.xacro"/>', "no package '..'", marks=SLOW),
-        ('<xacro:include filename="none.xacro"/>', "there is no file"),
+        ('<xacro:include filename="none.xacro"/>', "none.xacro' (in 'arm.xacro')"),
         ("""<link name="${xacro.load_yaml('/etc/hostname')}"/>""", "reads '/etc/hostname'"),
         pytest.param('<xacro:include filename="/etc/passwd"/>', "reads '/etc/passwd'", marks=SLOW),
         ('<xacro:include filename="../../secret.xacro"/>', "secret.xacro', which is not allowed"),
@@ -125,6 +125,7 @@ def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
         ("PROPERTIES", "more than 100,000 characters"),
         ("MACROS", "more than 150,000 steps"),
         ("CIRCLE", "circular"),
+        ('<xacro:include filename="large.xacro"/>' * 2, "what is read before it are too large"),
     ],
 )
 def test_hostile_files_are_harmless(tmp_path, inside, said):
@@ -133,6 +134,8 @@ def test_hostile_files_are_harmless(tmp_path, inside, said):
     file.parent.mkdir(parents=True)
     (file.parent / "way_out.xacro").symlink_to(tmp_path / "secret.xacro")
     os.mkfifo(file.parent / "pipe.yaml")
+    if "large" in inside:
+        (file.parent / "large.xacro").write_text(HEAD + " " * 11_000_000 + "</robot>")
     laughs = "\n".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise("abcdefghi"))
     (file.parent / "laughs.yaml").write_text(f"a: &a [ha]\n{laughs}")
     merged = "\n".join(f"{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}" for a, b in pairwise("abcdefghi"))

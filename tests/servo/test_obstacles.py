@@ -184,6 +184,18 @@ def test_a_refused_step_ends_at_rest_and_names_the_pair():
     assert refused > 10 and np.abs(rate).max() < 0.1 and not model.collides(q)
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_near_its_limit_brakes_before_it_though_another_brakes_for_longer(way):
+    robot, model, _ = ball_in_the_way(0.3)
+    limits = limits_of(robot, 10.0)
+    limits[:2, 0], limits[3, 1] = np.sort((0.1 * way, -5.0 * way)), 0.5
+    guard, q, rate = Guard(robot, model, limits, 1.0), np.zeros(2), np.array([way, 1.0])
+    guard.restart(q)
+    while rate.any():
+        q, rate = guard.brake(q, rate, 0.01)
+    assert 0.0 < way * q[0] <= 0.1 < q[1]
+
+
 def test_what_is_added_later_counts():
     robot, model, q = ball_in_the_way(0.5)
     guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)

@@ -106,7 +106,7 @@ def test_another_start_is_found_where_the_elbow_has_to_be_on_the_other_side():
     p = robot.fk(q0).translation
     ref = line_of(robot, q0, 0.4 * np.cross((0, 0, 1), p / np.linalg.norm(p)), 5.0, "constant", free=True)
     found, words = explain(robot, ref, q0)
-    assert found.joints == ("joint_1",) and "from q0 = [" in words
+    assert found.joints == ("joint_1",) and "from q0 = [" in words and "priority" not in words
     other = [float(x) for x in words.split("q0 = [")[1].split("]")[0].split(",")]
     assert other[1] > 0.0 and ik.track(robot, ref, q0=other, position_tolerance=5e-5).success
 
@@ -117,6 +117,13 @@ def test_several_tips_get_a_path_each():
     assert set(motion) == set(tree.tips) and survey(tree, motion, tree.home).whole
 
 
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_joints_at_a_limit_swing_away_from_it(end):
+    robot = ik.Robot.load("planar_2r")
+    q0 = getattr(robot, end)
+    assert survey(robot, joint_motion(robot, q0), q0).whole
+
+
 def test_what_is_asked_for_is_kept(arm):
     q0 = arm.home + 0.05
     motion = joint_motion(arm, q0, position_only=True, duration=4.0)
@@ -124,6 +131,7 @@ def test_what_is_asked_for_is_kept(arm):
     assert np.allclose(motion.target(0.0), arm.fk(q0).translation) and np.allclose(
         motion.target(4.0), motion.target(0.0)
     )
+    assert np.allclose(draw("line", (1, 0, 0), 0.5).target(1e9), (1.5, 0, 0))  # also from a place in whole metres
     with pytest.raises(InvalidOption, match="Did you mean 'circle'"):
         draw("circel", np.eye(4), 0.1)
 

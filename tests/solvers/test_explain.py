@@ -131,7 +131,9 @@ def test_an_unreachable_pose_is_said(case):
 @pytest.mark.parametrize("l2", [1.0, 0.6])
 def test_formulas_hold_for_points_out_of_reach_and_at_its_edges(target, l2):
     joints = [("continuous", (x, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0) for x in (0.0, 1.0)]
-    check_steps(ik.solve(drawn(joints, (l2, 0, 0)), target).explain().worked, 2e-7)
+    worked = ik.solve(drawn(joints, (l2, 0, 0)), target).explain().worked
+    check_steps(worked, 2e-7)
+    assert ("out of reach" in worked.words) != (abs(1.0 - l2) <= math.hypot(*target[:2]) <= 1.0 + l2)
 
 
 @pytest.mark.parametrize("case", [c for c in DATA["planar_2r"] if c["status"] == "ok"][:4])

@@ -106,7 +106,7 @@ class Evaluator:
 
     def checked(self, value: Any) -> Any:
         """Return a value unchanged if its type is allowed and it is not too large. Raises Refused otherwise."""
-        weight = _weight(value, 0, 0)
+        weight = _weight(value)
         self.spend(weight // 50)
         return value
 
@@ -297,7 +297,7 @@ def _called(value: Any) -> str:
     return f"the function {value}" if isinstance(value, Function) else f"a value of the kind {type(value).__name__}"
 
 
-def _weight(value: Any, so_far: int, depth: int) -> int:
+def _weight(value: Any, so_far: int = 0, depth: int = 0) -> int:
     """Add the number of characters and members of a value to `so_far`. Raises Refused for too many or a type not allowed."""
     if isinstance(value, str | range):
         so_far += len(value)
@@ -362,7 +362,7 @@ def remainder(left: Any, right: Any) -> Any:
     if isinstance(left, str):
         if "%" in FORMAT.sub("", left):
             raise Refused(f"the format {left[:40]!r} is not allowed")
-        small(len(left) + 10 * _weight(right, 0, 0) + (WIDTH + 1) * left.count("%"))
+        small(len(left) + 10 * _weight(right) + (WIDTH + 1) * left.count("%"))
     return left % right
 
 

@@ -223,8 +223,7 @@ def _angles(
     if math.hypot(m_x, m_y) <= 10.0 * ON_AXIS:
         theta_1 = sheet.given("theta_1", t1, "rad", "free: axes 1 and 4 are parallel; kept where it is")
     else:
-        turn = k3 * (-pi if math.atan2(m_y, m_x) >= 0.0 else pi)
-        theta_1 = sheet.angle("theta_1", atan2(m[1], m[0]) + turn, t1, "shoulder: this or half a turn further")
+        theta_1 = sheet.angle("theta_1", atan2(m[1], m[0]) + k3 * pi, t1, "shoulder: this or half a turn further")
     theta_3 = sheet.angle("theta_3", atan2(m[0] * cos(theta_1) + m[1] * sin(theta_1), -m[2]), t3)
     upper = atan2(i[0] * sin(theta_1) - i[1] * cos(theta_1), j[0] * sin(theta_1) - j[1] * cos(theta_1))
     theta_4 = sheet.angle("theta_4", upper, t4)

@@ -238,6 +238,6 @@ class Explanation:
 
 def target_table(T: np.ndarray, places: int) -> Table:
     """Show a target as the columns n, o, a and p of its pose, or p alone if its rotation does not count."""
-    shown = zip("xyz", T.reshape(3, -1) if T.ndim == 1 else T[:3], strict=True)
+    shown = zip("xyz", T[:, None] if T.ndim == 1 else T[:3], strict=True)
     rows = [(axis, *(digits(x, "", 0) for x in row[:-1]), digits(row[-1], "m", places)) for axis, row in shown]
     return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)
