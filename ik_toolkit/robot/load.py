@@ -43,7 +43,7 @@ def _read_urdf(source: str | Path, *_: Any) -> Urdf:
 
 def _read_xacro(source: str | Path, folders: Sequence[Path], arguments: Mapping[str, Any]) -> Urdf:
     """Expand a xacro file; text with macros, which may need other files, is refused by `safe_read`."""
-    return Urdf(expand(source, folders, arguments) if isinstance(source, Path) else safe_read(source))
+    return Urdf(safe_read(expand(source, folders, arguments) if isinstance(source, Path) else source))
 
 
 FORMATS = {
@@ -83,7 +83,7 @@ def urdf_of(
     if xacro_args and not (elsewhere or form.xacro_args):
         raise InvalidOption(f"xacro_args: only xacro files take them, and {entry.name} is {form.name}")
     read = form.read(entry.source, folders, {**entry.xacro_args, **(xacro_args or {})})
-    return read._replace(text=safe_read(read.text), package_dirs=folders)
+    return read._replace(package_dirs=folders)
 
 
 def read_source(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from folders import DATA
 from refusals import refuses
-from robots import branches, have_data, joint
+from robots import ball, branches, filled, have_data, joint, urdf
 from second_fk import SecondFK
 from srdf_arm import ARM, SAMPLED, SRDF
 
@@ -330,3 +330,11 @@ def test_pairs_are_sampled():
     alone = SAMPLED.replace("<collision>", "<visual>", 4).replace("</collision>", "</visual>", 4)
     with pytest.raises(ModelError, match="fewer than two links"):
         self_collision(ik.Robot.load(alone), 1)
+
+
+def test_continuous_joints_are_sampled_over_the_whole_turn():
+    """Two bars of 0.3 m fold until the balls at their ends are nearer than 0.2 m: at angles within 2 asin(1/3) of half a turn."""
+    text = urdf(*[dict(kind="continuous", xyz=xyz) for xyz in ("0 0 0", "0.3 0 0")], dict(kind="fixed", xyz="0.3 0 0"))
+    arm = ik.Robot.load(filled(text, {"l0": ball(0.1), "l1": ball(0.01), "l3": ball(0.1)}))
+    found = self_collision(arm, samples=3000)
+    assert found.tested == (("l0", "l3"),) and abs(found.after - 2.0 * np.arcsin(1.0 / 3.0) / np.pi) < 0.02

@@ -273,6 +273,7 @@ def test_a_follower_on_the_branch_of_the_base_moves_all_tips():
     tree = Tree.load(text, base="l3_link", tips=["chest", "root", "r3_link"])
     assert tree.joint_names == ("r0", "r1", "r2", "r3")
     assert [arm.joint_names for arm in tree.arms] == [("r0",), ("r0",), ("r0", "r1", "r2", "r3")]
+    assert Tree(tree.arms[:2]).joint_names == ("r0",)  # also without the arm on whose path it is
     Q = tree.random_q(np.random.default_rng(0), 10)
     for tip in tree.tips:
         his = SecondFK(text, "l3_link", tip).fk(Q, tree.joint_names)

@@ -64,13 +64,13 @@ def ask(arm, Q, forms):
     return [one[1 : 1 + int(one[0, 0]), :6] for one in found], found[:, 0, 1], found
 
 
-def wrist_robot(limit, scale=1.0):
-    """A robot with a wrist whose joints have the limits -limit and limit; scale: a factor of all lengths."""
+def wrist_robot(limit, scale=1.0, bend=0.0):
+    """A robot with a wrist whose joints have the limits -limit and limit, straight at -bend; scale: a factor of all lengths."""
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
     steps = ("0 0 0.4", "0.1 0 0", "0 0 0.7", "0.1 0 0.1", "0.6 0 0", "0 0 0")
     text = robots.urdf(*(
-        dict(kind="revolute", axis=axis, xyz=" ".join(str(scale * float(x)) for x in xyz.split()), limits=(-limit, limit))
-        for axis, xyz in zip(axes, steps, strict=True)
+        dict(kind="revolute", axis=axis, xyz=" ".join(str(scale * float(x)) for x in xyz.split()), limits=(-limit, limit), rpy=rpy)
+        for axis, xyz, rpy in zip(axes, steps, ["0 0 0"] * 5 + [f"0 {bend} 0"], strict=True)
     ))  # fmt: skip
     return ik.Robot.load(text), SecondFK(text)
 
@@ -284,10 +284,10 @@ def test_a_list_is_not_called_complete_where_solving_finds_a_pose_within_the_tol
 
 
 # ---------------------------------------------------------------------------------------------------------------------- families
-@pytest.mark.parametrize("limit", [2.0, 3.3])
-def test_a_straight_wrist_is_a_family_with_its_range(limit):
-    robot, second = wrist_robot(limit)
-    q = np.array([0.3, -0.4, 0.6, 1.5, 0.0, 0.9])
+@pytest.mark.parametrize(("limit", "bend"), [(2.0, 0.0), (3.3, 0.0), (2.0, 1.2)])
+def test_a_straight_wrist_is_a_family_with_its_range(limit, bend):
+    robot, second = wrist_robot(limit, bend=bend)
+    q = np.array([0.3, -0.4, 0.6, 1.5, -bend, 0.9])
     T = robot.fk(q)
     found = ik.solve_all(robot, T, q0=q)
     assert found.certificate.status == "FAMILY" and found.certificate.decomposed and not found.complete
@@ -299,7 +299,7 @@ def test_a_straight_wrist_is_a_family_with_its_range(limit):
         last = q[3] + q[5] - x + 2 * np.pi * np.arange(-2, 3)
         legal = abs(x) <= limit and (np.abs(last) <= limit).any()
         assert legal == any(low <= x <= high for low, high in ranges)
-        member = np.r_[q[:3], x, 0.0, last[2]]
+        member = np.r_[q[:3], x, -bend, last[2]]
         assert np.abs(second.fk(member, robot.joint_names)[0] - T.homogeneous).max() < 1e-9
     single = ik.solve_all(robot, robot.fk([0.3, -0.4, 0.6, 1.5, 0.2, 0.9]))
     assert single.complete and single.certificate.decomposed and "no other solution" in single.certificate.message

@@ -37,7 +37,9 @@ def test_the_tip_follows_as_the_derivative_says(name):
 def test_a_position_has_three_columns_and_its_answer_follows_by_newton():
     robot = robots.load("planar_2r")
     result = ik.solve(robot, (0.9, 0.9, 0.0))
-    with pytest.raises(InvalidConfiguration):  # a planar arm cannot follow a motion out of its plane
+    with pytest.raises(
+        InvalidConfiguration, match="moves in only 2 directions"
+    ):  # a planar arm cannot follow a motion out of its plane
         result.derivative()
     arm = robots.load("hydrolek_7w")
     found = ik.solve(arm, arm.fk(arm.home).homogeneous[:3, 3])

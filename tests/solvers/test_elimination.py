@@ -301,7 +301,7 @@ def test_a_target_that_only_limits_forbid_is_proven_blocked():
 
 
 def test_a_target_out_of_reach_is_proven_so():
-    robot, rng, proven = robots.load("hydrolek_7w"), np.random.default_rng(20), 0
+    robot, rng, proven, turned = robots.load("hydrolek_7w"), np.random.default_rng(20), 0, 0
     search = ik.Solver(robot, "lm", limits=False, restarts=300)
     for _ in range(20):
         T = anywhere(robot, rng)
@@ -310,8 +310,11 @@ def test_a_target_out_of_reach_is_proven_so():
         if result.status == ik.Status.UNREACHABLE and result.solver == "elimination":
             proven += 1
             assert "no joint values reach this pose" in result.message and result.blocked is None
+            alone = ik.solve(robot, T[:3, 3]).success
+            assert ("the position alone can be reached" in result.message) == alone
+            turned += alone
             assert not search(T).success and len(ik.solve_all(robot, T, limits=False)) == 0
-    assert proven >= 3
+    assert proven >= 3 and turned > 0
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])

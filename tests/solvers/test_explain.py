@@ -265,6 +265,7 @@ def test_formulas_are_for_sympy():
     cosine, r, l1, l2 = steps["c2"].formula, *(steps[name].symbol for name in ("r", "l1", "l2"))
     assert (cosine.diff(r) - r / (l1 * l2)).simplify() == 0
     assert float(cosine.subs({r: 1.0, l1: 1.0, l2: 1.0})) == -0.5  # an equilateral triangle: 120 degrees
+    assert not {"q_1", "q_2"} & {*steps}  # The joint values are theta_1 and theta_2 themselves.
 
 
 def test_without_sympy_only_formulas_are_missing(monkeypatch):

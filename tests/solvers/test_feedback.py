@@ -123,6 +123,12 @@ def test_designed_maps_are_inverses_where_they_are_meant(name):
     assert (spread_starts(robot, position, 16) == starts).all()
 
 
+def test_starts_keep_a_joint_of_one_value_there():
+    robot = robots.load("hydrolek_7w")
+    starts = spread_starts(robot.narrowed({robot.joint_names[2]: (0.3, 0.3)}), True, 8)
+    assert (starts[:, 2] == 0.3).all() and len(np.unique(starts, axis=0)) == 8
+
+
 @pytest.mark.parametrize(("name", "pid"), [("hydrolek_7w", 0.98), ("inspection_7dof", 0.9), ("mimic_mix", 0.75)])
 def test_without_gains_most_positions_are_reached(name, pid):
     robot = robots.load(name)

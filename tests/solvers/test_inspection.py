@@ -246,6 +246,7 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
     assert len(set(found.q[:, 1].round(6))) > 2 and found.position_error.max() < 1e-9
     lift = next(family for family in found.families if family.joints[0] == "lift")
     assert arm.lower[1] <= lift.lower < arm.home[1] < lift.upper <= arm.upper[1]
+    assert ik.solve_all(arm, arm.fk(arm.home), count=3).distance[0] == found.distance[0]  # the nearest is among them
     few = ik.solve_all(arm, arm.fk(arm.home), ik.Inspection(lift=0.22), count=2, limits=False)
     assert len(few) == 2 and not few.complete
 

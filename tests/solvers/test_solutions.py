@@ -182,5 +182,6 @@ def test_a_part_of_a_list_is_not_complete_and_a_list_that_was_cut_says_so():
     assert every.complete and every.keep(np.argsort(every.q[:, 0])).complete and not every.keep([0]).complete
     cut = ik.solve_all(arm, arm.fk(arm.home), limits=False, count=2)
     assert len(cut) == 2 and not cut.complete and "the 2 nearest are listed" in cut.message
+    assert ik.solve_all(arm, arm.fk(arm.home), limits=False, count=len(every)).message == every.message
     both = ik.Solver(arm).all([arm.fk(arm.home), arm.fk(arm.home + 0.1)])
     assert len(both) == 2 and both[1].complete and np.allclose(both[1].q[0], arm.home + 0.1, atol=1e-5)
