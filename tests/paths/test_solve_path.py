@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from motions import between, folding
 from robots import MIMIC, have_data, planar_pose
-from serial_arms import urdf
+from serial_arms import away, drawn, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -268,6 +268,16 @@ def test_every_solution_of_a_ur_is_known(request):
         found = ik.solve_all(robot, T[k], "lm")
         assert len(found) == np.isfinite(Q[k, :, 0]).sum()
     assert solutions(ik.Robot.load("hydrolek_7w"), T) is None
+
+
+def test_the_first_two_axes_need_not_be_perpendicular_for_a_solution_to_be_known():
+    """They are only in the arms on sale."""
+    places = (0, 0, 0.1), (0.1, 0.05, 0.3), (0, 0.05, 0.4), (0.1, 0, 0.35), (0, 0.1, 0.05), (0, 0, 0)
+    axes = (0.3, 0.4, 1), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0.3, 0.2, 1), (1, 0, 0)
+    robot = drawn([("revolute", *at, -3.1, 3.1) for at in zip(places, [(0, 0, 0)] * 6, axes, strict=True)], (0.1, 0, 0))
+    q = robot.random_q(np.random.default_rng(0), 50)
+    Q, sure = solutions(robot, robot.chain.forward(q)[0])
+    assert sure.all() and np.nanmin(away(Q, q[:, None]), axis=1).max() < 1e-9
 
 
 @pytest.mark.slow
