@@ -204,6 +204,8 @@ def test_what_is_added_later_counts():
     assert guard.rows(q, one, 0.01) == 0 and guard.allows(q, one, q, one, 0.01)
     model.add_sphere(0.2, robot.fk(q).translation + np.array([0.0, 0.1, 0.0]), "late")
     assert guard.rows(q, one, 0.01) > 0 and ("link_2", "late") in guard.pairs
+    aside = q + np.array([2.0, 0.0])
+    assert guard.restart(aside) is None and guard.rows(aside, one, 0.01) == 0 and guard.pairs == []
     model.add_sphere(0.2, robot.fk(q), "knot")  # around the tip: it touches, and nothing is allowed but to hold
     assert guard.restart(q) == ("link_2", "knot")
     assert not guard.allows(q, one, q + 0.001, np.full(2, 0.1), 0.01)
