@@ -196,6 +196,16 @@ def test_a_joint_near_its_limit_brakes_before_it_though_another_brakes_for_longe
     assert 0.0 < way * q[0] <= 0.1 < q[1]
 
 
+@pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
+def test_a_step_in_which_a_joint_reverses_counts_there_and_back(gamma):
+    robot, model, q = ball_in_the_way(0.5)
+    rates, h = np.array([[1.0, 0.2], [-1.0, 0.3]]), 0.01
+    q1 = q + h * ((1.0 - gamma) * rates[0] + gamma * rates[1])
+    way = np.array([q, *between(q, rates[0], q1, gamma, h, 1000)])
+    path = Guard(robot, model, limits_of(robot, 10.0), gamma)._follow(np.array([q, q1]), rates, h)
+    np.testing.assert_allclose(path.length[1], np.abs(np.diff(way, axis=0)).sum(axis=0), rtol=1e-4)
+
+
 def test_what_is_added_later_counts():
     robot, model, q = ball_in_the_way(0.5)
     guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
