@@ -189,7 +189,8 @@ class Guard:
         Joint values and rates (n,) are in rad or m. q must be where the last step ended. A step that is allowed counts as taken.
         If it is not, `blocked` names the pair of bodies that may touch.
         """
-        return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
+        free, self.blocked = self._take(np.array([q, q1]), np.array([rate, rate1]), h)
+        return free
 
     def instead(
         self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float
@@ -199,14 +200,11 @@ class Guard:
         The arm brakes, but only as hard as it has to: it takes the largest part of the step that is proven free. Limits that both
         the step and the braking keep are also kept by every motion between these two.
         """
-        blocked = self.blocked
         braked, slower, _ = self._braking(q, rate, h)
         for part in GUARD.parts:
             near, slow = braked + part * (q1 - braked), slower + part * (rate1 - slower)
-            if self._take(np.array([q, near]), np.array([rate, slow]), h):
-                self.blocked = blocked
+            if self._take(np.array([q, near]), np.array([rate, slow]), h)[0]:
                 return near, slow
-        self.blocked = blocked
         return self.brake(q, rate, h)
 
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -222,11 +220,9 @@ class Guard:
 
     def _braking(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the joint values and rates of `brake`, and the ratio of these rates to those with which the braking began."""
-        blocked = self.blocked
         # If the arm did not get here by a step that this guard proved, no braking motion has been proven yet.
         if self._path is None:
             self._take(q[None], rate[None], h, anyway=True)
-            self.blocked = blocked
         if (path := self._path) is None:
             return q.copy(), np.zeros_like(q), self._left
         left = max(self._left - path.even * h, 0.0)
@@ -246,15 +242,17 @@ class Guard:
         self._fresh[:] = False
         self._known = False
 
-    def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Try to prove the motion through the states Q, R (1 or 2, n) and the braking after it; return whether it is free.
+    def _take(
+        self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False
+    ) -> tuple[bool, tuple[str, str] | None]:
+        """Try to prove the motion through the states Q, R (1 or 2, n) and the braking after it free of contact.
 
-        A motion that is free, or any motion if `anyway`, counts as taken. h [s]: length of the step.
+        A motion that is free, or any motion if `anyway`, counts as taken. h [s]: length of the step. Returns whether the motion is
+        free, and the names of a pair of bodies that may touch.
         """
-        path = self._follow(Q, R, h)
+        path, blocked = self._follow(Q, R, h), None
         if path is None:
-            self.blocked = None
-            return False
+            return False, None
         space = self._space
         if not self._known:
             space.place(Q[0])
@@ -266,18 +264,16 @@ class Guard:
             if not self._fresh[doubtful].all():
                 space.place(Q[0])
                 self._measure(doubtful)
-            self.blocked = self._prove(path, doubtful, levers)
+            blocked = self._prove(path, doubtful, levers)
             # The proof has placed the bodies of the model elsewhere, so their Jacobians and nearest points at q are lost.
             self._known = False
             self._fresh[:] = False
-            if not (self.blocked is None or anyway):
-                return False
-        else:
-            self.blocked = None
+            if not (blocked is None or anyway):
+                return False, blocked
         self._path, self._levers, self._left = path, levers, 1.0
         if len(Q) > 1:
             self._moved(path.length[1])
-        return self.blocked is None
+        return blocked is None, blocked
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
         """Return the path through the states Q, R (1 or 2, n) and the braking to rest after them; None if a joint cannot brake.

@@ -175,7 +175,8 @@ class Run:
             taken = self._take(clock, samples_along(self.references, clock), way)
             if taken.missed == 0:
                 self._faster(way, share, top, start)
-            if taken.missed == 0 or taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
+                return
+            if taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # Joints that were not led took a path of their own.

@@ -91,6 +91,15 @@ def test_no_sample_between_two_poses_leaves_the_bound(name, what):
         assert angle <= turn[0] + 1e-7
 
 
+def test_the_bounds_of_a_motion_are_those_of_its_segments():
+    robot = loaded("hydrolek_7w")
+    plan, kinds, rng = plan_for(robot), (KIND.pose,), np.random.default_rng(2)
+    Q = robot.home + np.cumsum(rng.uniform(-0.1, 0.1, (6, robot.n)), axis=0)
+    T = np.array([[robot.fk(q).homogeneous] for q in Q])
+    apart = [bounds(plan, kinds, Q[k : k + 2], np.arange(2.0), T[k : k + 2]) for k in range(5)]
+    np.testing.assert_allclose(bounds(plan, kinds, Q, np.arange(6.0), T), np.hstack(apart), rtol=1e-9)
+
+
 def test_no_sample_of_a_tip_carried_by_another_leaves_the_bound():
     tree = loaded("two arms")
     plan, kinds = plan_for(tree, relative_to={"right_tip": "left_tip"}), kinds_of(tree, "pose")

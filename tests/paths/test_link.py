@@ -71,3 +71,4 @@ def test_contact_is_looked_for_beside_the_path_only_where_it_is_met():
     around = searched(lambda q: abs(q[1] - middle) < 0.3)
     assert (np.abs(around[:, 1] - middle) >= 0.3).all()
     assert len(tests) > len(Q)
+    assert len({q.tobytes() for q in tests}) == len(tests), "no state is tested twice"

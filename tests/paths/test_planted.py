@@ -97,11 +97,17 @@ def test_a_track_that_ends_early_has_no_reason():
     search.run()
     tracks = search.tracks
 
+    def beside(poses):
+        """Solutions that go on where tracks end, a full turn away."""
+        rows = [tracks.Q[t, k] + 2 * np.pi for k, span in enumerate(tracks.span) for t in span]
+        return np.repeat(np.array(rows)[None] * robot.chain.unit, len(poses), axis=0), np.ones(len(poses), bool)
+
     def sound():
         return tracks.end_with_reason(lambda poses: every_solution(problem.single, poses))
 
     whole = int(np.argmax(np.diff(tracks.span, axis=1)))
     assert (tracks.span != [0, 59]).any() and sound()  # limits and folds end some
+    assert not tracks.end_with_reason(beside)
     tracks.span[whole, 1] -= 5
     assert not sound()
 

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from motions import between, folding
 from robots import MIMIC, have_data, planar_pose
-from serial_arms import urdf
+from serial_arms import away, drawn, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -166,6 +166,17 @@ def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
     assert np.abs(made.q[0] - a).max() < 1e-5 and np.abs(made.q[-1] - b).max() < 1e-5
 
 
+@pytest.mark.parametrize("turn", [-1, 1])
+def test_a_path_with_a_gap_ends_on_the_turn_that_is_asked_for(turn):
+    joints = [("revolute", (x, 0, 0), (0, 0, 0), (0, 0, 1), -most, most) for x, most in ((0.0, 9.0), (0.4, 2.5))]
+    robot = drawn(joints, (0.3, 0, 0))
+    Q = np.linspace([0.3, 0.8], [0.8, 1.0], 12)
+    points = np.array([robot.fk(q).translation for q in Q])
+    points[6] = 2.0, 0.0, 0.0  # out of reach
+    made = ik.solve_path(robot, points, q_end=Q[-1] + [turn * 2 * np.pi, 0.0])
+    np.testing.assert_allclose(made.q[-1] - Q[-1], [turn * 2 * np.pi, 0.0], atol=1e-5)
+
+
 def test_poses_that_are_reached_roughly_are_still_one_motion(arm):
     """The tolerance between poses is never tighter than the one at the poses."""
     made = ik.solve_path(arm, between(arm, arm.home, arm.home + 0.2, 20), position_tolerance=2e-3)
@@ -268,6 +279,16 @@ def test_every_solution_of_a_ur_is_known(request):
         found = ik.solve_all(robot, T[k], "lm")
         assert len(found) == np.isfinite(Q[k, :, 0]).sum()
     assert solutions(ik.Robot.load("hydrolek_7w"), T) is None
+
+
+def test_the_first_two_axes_need_not_be_perpendicular_for_a_solution_to_be_known():
+    """They are only in the arms on sale."""
+    places = (0, 0, 0.1), (0.1, 0.05, 0.3), (0, 0.05, 0.4), (0.1, 0, 0.35), (0, 0.1, 0.05), (0, 0, 0)
+    axes = (0.3, 0.4, 1), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0.3, 0.2, 1), (1, 0, 0)
+    robot = drawn([("revolute", *at, -3.1, 3.1) for at in zip(places, [(0, 0, 0)] * 6, axes, strict=True)], (0.1, 0, 0))
+    q = robot.random_q(np.random.default_rng(0), 50)
+    Q, sure = solutions(robot, robot.chain.forward(q)[0])
+    assert sure.all() and np.nanmin(away(Q, q[:, None]), axis=1).max() < 1e-9
 
 
 @pytest.mark.slow

@@ -164,6 +164,7 @@ def test_a_fixed_gain_leaves_the_chart_at_its_least_rate():
     assert found.travel == pytest.approx(0.7 * np.pi / np.array(samples), rel=1e-4)
     axis = ik.plot(found).axes[0]
     assert axis.get_xlabel() == r"$\kappa$ h" and axis.get_title(loc="left") == "planar_2r along 'circle': cv"
+    assert ik.stability_chart(robot, CIRCLE, gain=[0.5]).samples[[0, -1]].tolist() == [12, 240]
     slow = ik.stability_chart(robot, CIRCLE, "ca", gain=[0.2, 0.9, 0.99, 1.01], samples=[3000])
     assert slow.stable.tolist() == [[True, True, True, False]] and slow.shape == pytest.approx(2.259, abs=1e-3)
 

@@ -196,6 +196,16 @@ def test_a_joint_near_its_limit_brakes_before_it_though_another_brakes_for_longe
     assert 0.0 < way * q[0] <= 0.1 < q[1]
 
 
+@pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
+def test_a_step_in_which_a_joint_reverses_counts_there_and_back(gamma):
+    robot, model, q = ball_in_the_way(0.5)
+    rates, h = np.array([[1.0, 0.2], [-1.0, 0.3]]), 0.01
+    q1 = q + h * ((1.0 - gamma) * rates[0] + gamma * rates[1])
+    way = np.array([q, *between(q, rates[0], q1, gamma, h, 1000)])
+    path = Guard(robot, model, limits_of(robot, 10.0), gamma)._follow(np.array([q, q1]), rates, h)
+    np.testing.assert_allclose(path.length[1], np.abs(np.diff(way, axis=0)).sum(axis=0), rtol=1e-4)
+
+
 def test_what_is_added_later_counts():
     robot, model, q = ball_in_the_way(0.5)
     guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
@@ -204,6 +214,8 @@ def test_what_is_added_later_counts():
     assert guard.rows(q, one, 0.01) == 0 and guard.allows(q, one, q, one, 0.01)
     model.add_sphere(0.2, robot.fk(q).translation + np.array([0.0, 0.1, 0.0]), "late")
     assert guard.rows(q, one, 0.01) > 0 and ("link_2", "late") in guard.pairs
+    aside = q + np.array([2.0, 0.0])
+    assert guard.restart(aside) is None and guard.rows(aside, one, 0.01) == 0 and guard.pairs == []
     model.add_sphere(0.2, robot.fk(q), "knot")  # around the tip: it touches, and nothing is allowed but to hold
     assert guard.restart(q) == ("link_2", "knot")
     assert not guard.allows(q, one, q + 0.001, np.full(2, 0.1), 0.01)

@@ -121,6 +121,13 @@ def test_an_elbow_keeps_its_side(arm):
     assert (side >= -1e-12).all()
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_posture_on_the_other_side_does_not_turn_an_elbow_over(side):
+    arm, q0 = ik.Robot.load("planar_3r"), side * np.array([0.1, 0.2, -0.6])
+    tracker = ik.Tracker(arm, q0=q0, posture=-q0, elbow={"joint_2": side})
+    assert min(side * tracker.update(arm.fk(q0).translation, 0.05).q[1] for _ in range(50)) >= -1e-12
+
+
 def test_out_of_all_reach_nothing_changes(panda, arm):
     """Half a metre out of reach and back: the same commands, to the last bit, as without."""
     for robot in (panda, arm):

@@ -21,6 +21,13 @@ def out_and_back(robot, q0, method, **options):
     return np.array(Q), errors
 
 
+def test_a_target_within_the_slack_moves_nothing(panda):
+    target = panda.fk(Q0).homogeneous
+    target[0, 3] += 0.015
+    step = ik.Tracker(panda, q0=Q0, slack=[0.02, 0, 0, 0, 0, 0]).update(target, 0.01)
+    assert np.abs(step.q - Q0).max() < 1e-12
+
+
 @pytest.mark.parametrize("method", ["cv", "aad"])
 @pytest.mark.parametrize("mode", ["direct", "leave"])
 def test_joints_do_not_chatter_beyond_reach(panda, method, mode):

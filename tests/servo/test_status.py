@@ -41,6 +41,7 @@ def test_completed_is_inside_all_the_time_and_on_time():
     assert run.added_time == 0.0 and run.pace_joint is None and np.array_equal(run.clock, run.t)
     exact = made([0.0] * 11, sigma=[1.0] * 10, pace=[-1] * 10)  # a sum of 0.1 s is not the product
     assert exact.status.name == "COMPLETED" and exact.to_dict()["added_time"] == 0.0
+    assert made([0.0]).figures["peak_speed"] == [0.0, 0.0]
     assert repr(exact) == f"TrackResult(COMPLETED, {exact.message})"
 
 
