@@ -291,7 +291,7 @@ class Result(ReadOnly):
         unit = robot.chain.unit[moving]
         U, values, V = np.linalg.svd(J[:, moving] * weight[:, None] * unit, full_matrices=False)
         if len(values) < len(J) or values[-1] < SINGULAR * values[0]:
-            able = min(robot.mobility.directions, len(moving))
+            able = min(robot.mobility.moves if self.position_only else robot.mobility.directions, len(moving))
             why = f"the arm moves in only {able} directions" if able < len(J) else "the arm is singular at q"
             raise InvalidConfiguration(f"{why}: no joint motion follows every motion of the target")
         made = np.zeros((robot.n, len(J)))
