@@ -58,6 +58,15 @@ class Row:
         self.counts[str(words[0])] = self.counts.get(str(words[0]), 0) + 1
         self.sha.update(repr(words).encode() + (np.round(np.asarray(q, dtype=float), 9) + 0.0).tobytes())
 
+    def solve(self, robot: Any, target: Any, *solver: str, **options: Any) -> None:
+        """Solve and take in the answer, or the name of the error if the call is refused."""
+        try:
+            result = ik.solve(robot, target, *solver, **options)
+        except ik.IKError as error:
+            self.add([], type(error).__name__)
+        else:
+            self.add(result.q, result.status.name, result.iterations, result.attempt, result.message)
+
     def value(self) -> str:
         """Hash and counts of statuses."""
         counts = ", ".join(f"{n} {word}" for word, n in sorted(self.counts.items()))
@@ -75,12 +84,7 @@ def solves(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
             target = pose_of(robot, q)
             if i % 4 == 3 and not isinstance(target, dict):
                 target = target[:3, 3]
-            try:
-                result = ik.solve(robot, target, name, q0=near)
-            except ik.IKError as error:
-                row.add([], type(error).__name__)
-                continue
-            row.add(result.q, result.status.name, result.iterations, result.attempt, result.message)
+            row.solve(robot, target, name, q0=near)
         yield f"solve {name}", row
 
 
@@ -89,13 +93,8 @@ def wishes(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
     for name, options in WISHES.items():
         rng, row = np.random.default_rng(3), Row()
         for _ in range(count // 4):
-            target = pose_of(robot, np.clip(robot.home + rng.uniform(-0.8, 0.8, robot.n), robot.lower, robot.upper))
-            try:
-                result = ik.solve(robot, target, **options)
-            except ik.IKError as error:
-                row.add([], type(error).__name__)
-                continue
-            row.add(result.q, result.status.name, result.iterations, result.message)
+            near = np.clip(robot.home + rng.uniform(-0.8, 0.8, robot.n), robot.lower, robot.upper)
+            row.solve(robot, pose_of(robot, near), **options)
         yield f"solve, {name}", row
 
 

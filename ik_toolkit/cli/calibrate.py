@@ -10,7 +10,7 @@ import typer
 from ..errors import InvalidOption, InvalidTarget
 from ..files import as_output, write_table
 from ..text import figure, length, numbers, vector
-from .command import PLOTS, command, option, options
+from .command import PLOTS, command, in_radians, option, options
 from .options import FileOptions, JsonOutput, OneTip, given
 from .output import heading, notice, show, table, turns, write_json
 from .pictures import chart
@@ -115,11 +115,11 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
 
 
 def _length_and_angle(text: str | None, name: str, deg: bool) -> list[float] | None:
-    """Return a length [m] and, where one is given, an angle [rad] that `deg` says is typed in degrees; None without a text."""
+    """Return the numbers of a text: a length [m], perhaps an angle [rad], typed in degrees if `deg`; None without a text."""
     if text is None:
         return None
     values = vector(text, name)
-    return [*values[:1], *(math.radians(x) if deg else x for x in values[1:])]
+    return [*values[:1], *(in_radians(x, deg) for x in values[1:])]
 
 
 def _pair(text: str) -> tuple[tuple[int, int], float]:

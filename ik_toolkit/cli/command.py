@@ -197,6 +197,11 @@ def above_zero(value: float, name: str) -> float:
     return value
 
 
+def in_radians(angle: float, deg: bool) -> float:
+    """Return a typed angle in radians; deg: whether it was typed in degrees, as --deg says."""
+    return math.radians(angle) if deg else angle
+
+
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
     """Click's class for each command; it also refuses several tips where one is taken, and a file that is input and output, or two

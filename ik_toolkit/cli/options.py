@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
 from ..text import comma_hint, numbers, parameter, vector, with_points
-from .command import TIP, argument, flag, option, options
+from .command import TIP, argument, flag, in_radians, option, options
 from .completion import links_like, robots_like, tips_like
 from .output import notice, turns
 
@@ -118,7 +118,7 @@ class RobotOptions:
 
     def _value(self, robot: Any, joint: str, x: float) -> float:
         """Convert a typed joint value (degrees with --deg) to rad or m."""
-        return math.radians(x) if self.deg and not slides(robot, joint) else x
+        return in_radians(x, self.deg and not slides(robot, joint))
 
     def _read(self, tip: str | list[str] | None) -> Any:
         """Load the Robot or the Tree, with the limits of its description."""
@@ -135,7 +135,7 @@ class RobotOptions:
             place = vector(self.base_xyz or "0 0 0", "--base-xyz", 3)
             if not all(map(math.isfinite, (*place, *angles))):
                 raise InvalidOption("--base-xyz and --base-rpy take finite numbers")
-            more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
+            more["on_base"] = pose(place, rpy=[in_radians(x, self.deg) for x in angles])
         if self.rail is not None:
             more |= {"on_base": "rail", "base_limits": vector(self.rail, "--rail", 2)}
         tips = find(source).tips
@@ -240,7 +240,7 @@ def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
             f"{comma_hint(text, name, (robot.n,))}"
         )
     pairs = zip(values, robot.joint_kinds, strict=True)
-    return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], name)
+    return robot.check_q([in_radians(x, deg and turns(kind)) for x, kind in pairs], name)
 
 
 def solver_named(text: str) -> Any:
@@ -277,15 +277,17 @@ def given(record: Any) -> dict[str, Any]:
 class ToleranceOptions:
     """Options for the tolerances within which a target counts as reached."""
 
-    tolerance: float | None = option("TOL", "Position [m] and orientation [rad] tolerance; default 1e-6.")
+    tolerance: float | None = option(
+        "TOL", "Position [m] and orientation [rad, also with --deg] tolerance; default 1e-6."
+    )
     position_tolerance: float | None = option("M", "Position tolerance [m].")
     orientation_tolerance: float | None = option("RAD", "Orientation tolerance [rad; degrees with --deg].")
 
     def read(self, deg: bool) -> dict[str, Any]:
-        """Return the tolerances that were given, by name [m, rad]; deg: whether the one of angles alone is typed in degrees."""
+        """Return the tolerances that were given, by name [m, rad]; deg: whether --orientation-tolerance is in degrees."""
         read = given(self)
-        if deg and "orientation_tolerance" in read:
-            read["orientation_tolerance"] = math.radians(read["orientation_tolerance"])
+        if "orientation_tolerance" in read:
+            read["orientation_tolerance"] = in_radians(read["orientation_tolerance"], deg)
         return read
 
 
@@ -365,7 +367,7 @@ class CollisionOptions:
             turned = len(values) == 6 + sizes and kind != "sphere"
             if len(values) != 3 + sizes and not turned:
                 raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")
-            angles = [math.radians(x) if deg else x for x in values[-3:]]
-            place, size = pose(values[:3], rpy=angles if turned else None), values[3 : 3 + sizes]
+            angles = [in_radians(x, deg) for x in values[-3:]] if turned else None
+            place, size = pose(values[:3], rpy=angles), values[3 : 3 + sizes]
             getattr(model, f"add_{kind}")(*([size] if kind == "box" else size), place)
         return {"avoid_collisions": model}

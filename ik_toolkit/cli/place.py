@@ -8,7 +8,7 @@ import typer
 
 from ..errors import InvalidOption
 from ..text import length, vector
-from .command import PLOTS, REQUIRED, command, flag, option, options
+from .command import PLOTS, REQUIRED, command, flag, in_radians, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions
 from .output import fixed, notice, progress, run_or_part, show, table, write_json, write_rows
 from .pictures import chart
@@ -60,7 +60,7 @@ def place(
 
     corners = None if asked.where is None else vector(asked.where, "--where", 4)
     where: Any = "floor" if corners is None else (corners[:2], corners[2:])
-    turn = math.radians(1.0) if robot.deg else 1.0
+    turn = in_radians(1.0, robot.deg)
     yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
     height = _one_or_two(asked.height, "--height")
     more: Any = tolerances.read(robot.deg) | around.read(arm, robot.deg)

@@ -1,6 +1,5 @@
 """`ik solve`: joint values that bring the tip to a target."""
 
-import math
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from ..errors import InvalidOption
 from ..files import as_output
 from ..text import angle, duration, length, vector
 from . import first_use
-from .command import PLOTS, above_zero, command, flag, option, options, same
+from .command import PLOTS, above_zero, command, flag, in_radians, option, options, same
 from .completion import solvers_like
 from .options import (
     CollisionOptions,
@@ -123,8 +122,7 @@ class WishOptions:
         """Return the options by name, including q0, as `solve` takes them, or `solve_batch` if `many`. Raises InvalidOption."""
         read: dict[str, Any] = {} if self.objective is None else {"objective": self.objective}
         if self.follow is not None:
-            move = above_zero(self.follow, "--follow")  # The library takes 0 for no bound.
-            read["follow"] = math.radians(move) if deg else move
+            read["follow"] = in_radians(above_zero(self.follow, "--follow"), deg)  # The library takes 0 for no bound.
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
             read["joint_weights"] = tuple(vector(self.joint_weights, "--joint-weights", arm.n))

@@ -1,12 +1,11 @@
 """Options for the target of one or several tips, and for which components of it count."""
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import comma_hint, numbers, vector
-from .command import MANY, option, options
+from .command import MANY, in_radians, option, options
 from .options import joint_vector
 
 FORMS = (
@@ -79,7 +78,7 @@ class TargetOptions:
         rpy = None if self.rpy is None else vector(self.rpy, "--rpy", 3)
         xyzw = None if self.quat_xyzw is None else vector(self.quat_xyzw, "--quat-xyzw", 4)
         wxyz = None if self.quat_wxyz is None else vector(self.quat_wxyz, "--quat-wxyz", 4)
-        angles = [math.radians(x) for x in rpy] if rpy and deg else rpy
+        angles = rpy and [in_radians(x, deg) for x in rpy]
         ways, axes = self._directions()
         for name, one in (("--direction", ways), ("--tip-axis", axes)):
             if isinstance(one, dict):
@@ -102,7 +101,7 @@ class TargetOptions:
             x = vector(rest, f"--target {tip}:")
             if tip in made:
                 raise InvalidTarget(f"--target gives '{tip}' twice; {MANY}")
-            rpy = [math.radians(a) if deg else a for a in x[3:]] if len(x) == 6 else None
+            rpy = [in_radians(a, deg) for a in x[3:]] if len(x) == 6 else None
             way, axis = (one.get(tip) if isinstance(one, dict) else one for one in (ways, axes))
             if len(x) not in MATRIX:
                 quat = x[3:] if len(x) == 7 else None
@@ -151,7 +150,7 @@ class CountOptions:
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
         """Return the given options as keyword arguments of a solver; relative: texts of --relative. Raises InvalidOption."""
-        turn = math.radians(1.0) if deg else 1.0
+        turn = in_radians(1.0, deg)
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
         options = {"mask": _vectors(self.mask, "--mask", 6), "slack": slack, "free_turn": axis}

@@ -41,7 +41,7 @@ class TrackCollisions(CollisionOptions):
 class TrackTolerances(ToleranceOptions):
     """Options for the tolerances within which a run counts as followed."""
 
-    tolerance: None = None
+    tolerance: None = None  # A run has no option for one value of both.
     position_tolerance: float = option("M", "Position tolerance of a followed run [m].", default=1e-3)
     orientation_tolerance: float | None = option(
         "RAD", "Orientation tolerance of a followed run [rad; degrees with --deg]; default: 0.1 degrees."
@@ -80,18 +80,18 @@ def track(
     arm = robot.load(robot.choose_tips())
     q = joint_vector(arm, asked.q0, "--q0", robot.deg)
     own = {name for record in (asked, counts, collisions, tolerances, robot, out) for name in vars(record)}
+    around = collisions.read(arm, robot.deg)
 
     def run(path: Asked, quiet: bool = False, **more: Any) -> Any:
-        given = tolerances.read(robot.deg) | what | collisions.read(arm, robot.deg)
-        return _run(arm, asked, path, own, given | more, quiet)
+        return _run(arm, asked, path, own, tolerances.read(robot.deg) | what | around | more, quiet)
 
     path, result = _follow(arm, asked, q, what, tolerances.position_tolerance, run)
     if asked.output is not None:
         with uninterrupted():
             notice(f"wrote {result.save(asked.output)}")
     chart(asked.plot, result, arm)
-    around = collisions.read(arm, robot.deg).get("avoid_collisions")
-    show_scene(arm, result, out.html, out.live, obstacles=None if isinstance(around, bool | None) else around)
+    shown = around.get("avoid_collisions")
+    show_scene(arm, result, out.html, out.live, obstacles=None if isinstance(shown, bool | None) else shown)
     stopped, tried = None, []
     try:
         if result.reach is not None:

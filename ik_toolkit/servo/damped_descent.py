@@ -144,7 +144,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
         if turned and (hindered or held):
             state[STATE.turned] += 1.0
         elif error <= state[STATE.nearest]:
-            # Elsewhere joints that swing slowly would be forgiven each reversal before the next, and never be stuck.
+            # Otherwise the reversals of a slow swing would be forgotten one by one, and the arm would never count as stuck.
             state[STATE.turned] = max(state[STATE.turned] - h / DESCENT.forgotten, 0.0)
     else:
         adapt(turned, error, h, state)
