@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any
 
 from ..errors import InvalidOption
+from ..files import JSON_BYTES
 
 RAISED_AGAIN = 0.05  # [s] after which a dropped Ctrl-C is raised again
 IMPORTING = 20.0  # [s] longest time for which Ctrl-C waits for the end of an import
@@ -40,7 +41,8 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
     """Context manager: yield the arguments with `-` replaced by a temporary file that holds all of standard input.
 
     The file is named after the robot in it, with a suffix by its contents: .urdf, .npz, .toml, .json or .csv. It is a file because
-    a command may run twice (without compilation first), and counts the rows of its targets. Raises InvalidOption.
+    a command may run twice (without compilation first), and counts the rows of its targets. Of XML, TOML and JSON only as much is
+    kept as their readers take, plus a byte, which they refuse. Raises InvalidOption, also if it is neither text nor NPZ.
     """
     places = [k for k, word in enumerate(arguments) if re.fullmatch(r"(--[a-z-]+=)?-", word)]
     if not places:
@@ -53,17 +55,23 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
     if len(places) > 1:
         raise InvalidOption("- stands for standard input, which can be read only once; name a file in the other place")
     with tempfile.TemporaryDirectory(prefix="ik_stdin_") as folder:
-        made = Path(folder) / "stdin"
-        with made.open("wb") as file:
-            shutil.copyfileobj(sys.stdin.buffer, file)
-        with made.open("rb") as file:
-            start = file.read(10_000).lstrip(b"\xef\xbb\xbf \t\r\n")
+        source = sys.stdin.buffer
+        head = source.read(10_000)
+        start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
         if not start:
             raise InvalidOption("standard input is empty")
         named = re.search(rb"""<(?:robot|mujoco)\b[^>]*?\b(?:name|model)\s*=\s*["']([\w.-]+)["']""", start)
         kinds = {rb"\A<": ".urdf", rb"\APK": ".npz", rb"(?m)^\w+ *= ": ".toml", rb"\A[{[]": ".json"}
         kind = next((kind for mark, kind in kinds.items() if re.search(mark, start)), ".csv")
-        file = made.rename(made.with_name((named[1].decode() if named else "stdin") + kind))
+        if kind != ".npz" and b"\0" in head:
+            raise InvalidOption("standard input is neither UTF-8 text nor an NPZ file")
+        file = Path(folder) / ((named[1].decode() if named else "stdin") + kind)
+        with file.open("wb") as written:
+            written.write(head)
+            if kind in (".csv", ".npz"):  # the files of many targets, of any size
+                shutil.copyfileobj(source, written)
+            else:
+                written.write(source.read(JSON_BYTES + 1 - len(head)))
         changed = [*arguments]
         changed[places[0]] = changed[places[0]][:-1] + str(file)
         yield changed

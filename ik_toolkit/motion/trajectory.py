@@ -240,7 +240,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
 
 
 def _check_table(names: Any, values: np.ndarray, t: np.ndarray | None) -> None:
-    """Raise ValueError, saying what is wrong, unless every row has a value for each name and, if there are times, a finite one."""
+    """Raise ValueError, saying why, unless each row has a value for every name and the times are finite and do not go back."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError("its joint_names are not a list of names")
     if not len(values):
@@ -249,6 +249,8 @@ def _check_table(names: Any, values: np.ndarray, t: np.ndarray | None) -> None:
         raise ValueError(f"its rows do not have one value for each of the {len(names)} joint_names")
     if t is not None and (t.shape != values.shape[:1] or not np.isfinite(t).all()):
         raise ValueError("its rows do not have one finite time each")
+    if t is not None and (back := np.flatnonzero(np.diff(t) < 0.0)).size:
+        raise ValueError(f"its times go back, first after row {back[0] + 1}")
 
 
 def _joint_table(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:

@@ -110,6 +110,9 @@ def test_a_robot_from_standard_input(told, run, pipe):
     assert pipe(text, "check", "-")[:2] == run("check", shipped_robots()[name].path)[:2]
     assert pipe("﻿ \n<mujoco model='m'>", "info", "-")[0] == 2
     assert pipe("\n", "info", "-") == (2, "", "ik: standard input is empty\n")
+    assert pipe(bytes(100), "info", "-") == (2, "", "ik: standard input is neither UTF-8 text nor an NPZ file\n")
+    code, _, err = pipe(text.ljust(20_000_002), "info", "-")  # with more spaces at the end than a robot may have bytes
+    assert code == 2 and "larger than 20 MB" in err
     code, _, err = pipe("<robot name='a/../b'/>", "info", "-")  # no path for a file name
     assert code == 2 and "stdin" in err + "stdin"
 

@@ -231,9 +231,10 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
         ("m.csv", "joint_1,joint_2\n0,1\n\n0,one\n", "line 4: 'one' is not a finite number"),
         ("m.csv", "joint_1,joint_2\n0,\n", "no row in which every joint has a value"),
         ("m.json", "[]", "no object with joint_names"),
+        ("m.csv", "t,q_joint_1,q_joint_2\n0,0,0\n2,1,1\n1,2,2\n", "its times go back, first after row 2"),
     ],
 )
-def test_a_motion_without_rows_says_what_is_missing(tmp_path, name, text, said):
+def test_a_motion_that_cannot_be_read_says_why(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
     with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}") as caught:
         read_motion(robots.load("planar_2r"), tmp_path / name)
