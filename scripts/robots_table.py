@@ -128,7 +128,7 @@ def second_opinion(path: Path, robot: ik.Robot) -> float | None:
 def values(robot: ik.Robot, q: np.ndarray) -> dict[str, float]:
     """Value of every one-DOF joint, followers included."""
     model = robot.model
-    full = robot._fill(robot.rest.copy(), q)
+    full = robot._filled(q)
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     found = {}
     for j in range(1, model.njoints):

@@ -47,7 +47,7 @@ class Margins:
         floor = FLOOR / self.size.max(initial=FLOOR)
         levels = max(1, math.ceil(math.log(LARGEST / floor, FINER)))
         self.levels = [*(LARGEST / FINER**k for k in range(levels)), floor]
-        self.robot, self.rest = collision.robot, collision.robot.rest
+        self.robot = collision.robot
         self._spaces: dict[float, Any] = {}
         self.spent = 0
 
@@ -67,7 +67,7 @@ class Margins:
             space = self._spaces[margin] = self.collision.workspace(margin * self.size)
         data, found, boxes = space
         model, geometry = self.robot.model, self.collision.geometry
-        full = self.robot._fill(self.rest.copy(), q)
+        full = self.robot._filled(q)
         if boxes is None:
             return not pin.computeCollisions(model, data, geometry, found, full, True)
         return not pin.computeCollisions(model, data, boxes, full, True)
@@ -91,7 +91,7 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     """
     robot, geometry, model = collision.robot, collision.geometry, collision.robot.model
     data = model.createData()
-    pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
+    pin.forwardKinematics(model, data, robot._filled(robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
     # For each joint of Pinocchio's model: its index in q, and how far the joint turns and slides per unit of q.

@@ -96,7 +96,7 @@ def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: floa
     closure = robot.memo.get("closure")
     if closure is None:
         closure = robot.memo["closure"] = Closure(robot)
-    return closure.at(robot._fill(robot.rest.copy(), q), position, orientation)
+    return closure.at(robot._filled(q), position, orientation)
 
 
 def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:

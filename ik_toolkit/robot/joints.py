@@ -354,9 +354,8 @@ class Joints(ReadOnly):
         """
         if model is not None:
             return configuration_in(model, self, self.check_q(q), rest)
-        given = self._given
-        full = self._fill(self.rest.copy() if rest is None else self._full(rest, "rest"), self.check_q(q))
-        return full if given is None else given.form(self.model, full)
+        full = self._filled(self.check_q(q), None if rest is None else self._full(rest, "rest"))
+        return full if self._given is None else self._given.form(self.model, full)
 
     def _full(self, values: Any, what: str) -> np.ndarray:
         """Convert a configuration of the given model to `model`. Raises InvalidConfiguration."""
@@ -372,8 +371,9 @@ class Joints(ReadOnly):
         """Indices in q of the joints that Pinocchio stores as cosine and sine."""
         return np.flatnonzero(self._path.circle)
 
-    def _fill(self, full: np.ndarray, q: np.ndarray) -> np.ndarray:
-        idx, circle = self._path.idx_q, self._circles
+    def _filled(self, q: np.ndarray, rest: np.ndarray | None = None) -> np.ndarray:
+        """Return the configuration (nq,) of `model` at q (n,), with its other joints as in `rest` (nq,), by default the robot's."""
+        full, idx, circle = (self.rest if rest is None else rest).copy(), self._path.idx_q, self._circles
         full[idx] = q
         if len(circle):
             full[idx[circle]] = np.cos(q[circle])

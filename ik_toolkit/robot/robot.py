@@ -271,7 +271,7 @@ class Robot(Joints):
 
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
-        pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
+        pin.forwardKinematics(self.model, data, self._filled(q))
         # The base is not fixed: a joint between the root and the base may mimic one on the path.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
@@ -283,7 +283,7 @@ class Robot(Joints):
     def _kinematics(self, q: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
         """Compute pose and Jacobian (see `fk` and `jacobian`) at q (n,) [rad or m]."""
         model, data = self.model, self.data
-        pin.computeJointJacobians(model, data, self._fill(self.rest.copy(), q))
+        pin.computeJointJacobians(model, data, self._filled(q))
         base, tip = (pin.updateFramePlacement(model, data, i) for i in self._ids)
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)

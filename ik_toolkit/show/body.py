@@ -75,7 +75,7 @@ def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
     frames. data: the pin.Data to use, by default a new one.
     """
     data = robot.model.createData() if data is None else data
-    pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
+    pin.forwardKinematics(robot.model, data, robot._filled(q))
     base = pin.updateFramePlacement(robot.model, data, robot.arms[0]._ids[0])
     return base.inverse().homogeneous @ np.array([M.homogeneous for M in data.oMi])
 

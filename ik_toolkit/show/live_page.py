@@ -106,7 +106,7 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
     A joint's pose in its parent is its pose at 0 times the exponential of its screw; fixed joints are merged into the poses.
     """
     model = robot.model
-    data, zero = model.createData(), robot._fill(robot.rest.copy(), np.zeros(robot.n))
+    data, zero = model.createData(), robot._filled(np.zeros(robot.n))
     pin.forwardKinematics(model, data, zero)
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     owner = {model.getJointId(name): k for k, name in enumerate(robot.joint_names)}

@@ -112,9 +112,8 @@ class DrawnArm:
                 base = C
         model.frames[self._tip].placement = self._tip_place * tool
         before, ends = np.empty((len(joints), len(Q), 4, 4)), np.empty((2, len(Q), 4, 4))
-        full = robot.rest.copy()
         for k, q in enumerate(Q * self.sign):
-            pin.forwardKinematics(model, data, robot._fill(full, q))
+            pin.forwardKinematics(model, data, robot._filled(q))
             ends[0, k] = pin.updateFramePlacement(model, data, self._tip).homogeneous
             ends[1, k] = pin.updateFramePlacement(model, data, self._base).homogeneous
             for i, place in enumerate(joints):

@@ -94,7 +94,7 @@ def elbow_height(robot, q: np.ndarray) -> float:
     """Height [m] of the middle of the (first) arm above the line from its first joint to its tip."""
     arm, place = robot.arms[0], robot.places[0]
     data = arm.data
-    pin.forwardKinematics(arm.model, data, arm._fill(arm.rest.copy(), q[place]))
+    pin.forwardKinematics(arm.model, data, arm._filled(q[place]))
     points = np.array([data.oMi[arm.model.getJointId(name)].translation for name in arm.joint_names])
     line = points[-1] - points[0]
     off = points - points[0] - np.outer((points - points[0]) @ line / (line @ line), line)
@@ -207,7 +207,7 @@ def outwards(robot, q0: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     T0 = tip_poses(robot, q0)
     arm = robot.arms[0]
     data = arm.data
-    pin.forwardKinematics(arm.model, data, arm._fill(arm.rest.copy(), q0[robot.places[0]]))
+    pin.forwardKinematics(arm.model, data, arm._filled(q0[robot.places[0]]))
     base = pin.updateFramePlacement(arm.model, data, arm.model.getFrameId(arm.base))
     first = base.actInv(data.oMi[arm.model.getJointId(arm.joint_names[0])]).translation
     direction = T0[0, :3, 3] - first

@@ -45,7 +45,7 @@ def test_models_shapes_and_wrappers_are_taken_as_they_are(name, root):
         # Shapes are where Pinocchio has them, and come from the model: there is no URDF.
         assert robot.urdf is None
         geometry = ik.CollisionModel(robot).geometry
-        ours = placed(robot.model, geometry, robot._fill(robot.rest.copy(), q))
+        ours = placed(robot.model, geometry, robot._filled(q))
         theirs = placed(wrapper.model, wrapper.collision_model, full)
         assert ours.keys() == theirs.keys() and all(np.allclose(ours[k], theirs[k], atol=1e-9) for k in theirs)
 

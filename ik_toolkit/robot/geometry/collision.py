@@ -174,7 +174,7 @@ class CollisionModel(Surroundings):
         rng = np.random.default_rng(0)
         found: dict[int, list] = {j: [] for j in owners}
         for _ in range(SAMPLES):
-            pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), robot.random_q(rng)))
+            pin.forwardKinematics(robot.model, data, robot._filled(robot.random_q(rng)))
             for j, list_j in found.items():
                 list_j.append(data.oMi[j].homogeneous)
         return {j: np.array(list_j) for j, list_j in found.items()}
@@ -311,7 +311,7 @@ class CollisionModel(Surroundings):
         return self._links[k] if k < len(self._links) else geometry.geometryObjects[k].name
 
     def _full(self, q: Any) -> np.ndarray:
-        return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))
+        return self.robot._filled(self.robot.check_q(q))
 
     def __getstate__(self) -> dict[str, Any]:
         """Keep the constructor's arguments; shapes of the URDF are read again, a given geometry is pickled whole."""

@@ -140,7 +140,7 @@ class Clearance:
     # ------------------------------------------------------------------------------------------------ distances
     def place(self, q: np.ndarray) -> None:
         """Place every shape at configuration q (n,) [rad or m], to which the methods below refer."""
-        full = self.robot._fill(self.robot.rest.copy(), q)
+        full = self.robot._filled(q)
         pin.forwardKinematics(self.robot.model, self._data, full)
         pin.updateGeometryPlacements(self.robot.model, self._data, self._hulls, self._hull_data)
         self._placed = False
