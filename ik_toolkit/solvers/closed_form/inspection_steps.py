@@ -104,13 +104,12 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
     for row, mark in zip(table[:count], marks, strict=True):
         label = ", ".join(f"{name} {SIGNS[int(x)]}" for name, x in zip(PARTS, mark, strict=True))
         q = row[Q:].copy()
-        outside = tuple(robot.outside(q)) if row[BROKEN] > 0.0 else ()
         own = Worksheet(sheet.steps)
         _angles(own, symbols, robot, p, head, row)
-        branches.append(Branch(label, q, outside, tuple(own.steps)))
+        branches.append(Branch(label, q, tuple(robot.outside(q)), tuple(own.steps)))
     free, words = None, ""
     if place >= 0:
-        inside = feasible_lifts(p, T, box[0, place], box[1, place])
+        inside = feasible_lifts(p, T, robot.lower[place], robot.upper[place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
     if _is_far(p, head):
         where = f" at lift {length(value, 6)}" if place >= 0 else ""

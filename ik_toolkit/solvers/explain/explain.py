@@ -9,6 +9,7 @@ from ...errors import InvalidTarget, MissingExtra
 from ...kernel.counted_error import KIND
 from ...kernel.records import AT, SIZE
 from ..closed_form import fits
+from ..options import Options
 from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import record
@@ -81,7 +82,8 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
         what = f"No closed form of the toolkit fits '{robot.name}' and this kind of target"
         return None, f"{what}, so the solution is found by iteration."
     row = find_row(name)
-    return Plan(robot, row, row.load()(), plan.options), ""
+    # The form is only written out, so options that it would refuse to solve with (closest, follow, priority) are left out.
+    return Plan(robot, row, row.load()(), Options(limits=plan.options.limits)), ""
 
 
 def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.formats.dh import DHTable
-from ...text import how_many, length
+from ...text import angle, how_many, length
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,
@@ -162,7 +162,14 @@ class Explanation:
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
         yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
         if self.chosen is None:
-            yield Sentence("The solution is not one of these branches.")
+            # The answer of an iterative solver may be a branch up to its tolerance, so the text says how far off it is.
+            apart = np.abs([branch.q - self.q for branch in branches]) / self.robot.chain.unit
+            k = int(np.argmin(apart.max(axis=1)))
+            i = int(np.argmax(apart[k]))
+            off = abs(float(branches[k].q[i] - self.q[i]))
+            size = length(off) if kinds[i] == "prismatic" else angle(off)
+            where = f"the nearest is branch {k + 1}, where {self.robot.joint_names[i]} differs by {size}"
+            yield Sentence(f"The solution is not one of these branches; {where}.")
 
     def iteration_blocks(self) -> Iterator[Block]:
         """Yield a table of the errors in each iteration of an iterative solver, and a sentence on how it ended."""

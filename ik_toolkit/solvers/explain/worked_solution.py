@@ -76,6 +76,5 @@ class WorkedSolution(NamedTuple):
 
 def listed_branches(robot: Any, found: Any) -> WorkedSolution:
     """Return the branches (`closed_form.geometry.Branches`) of a closed form for which no derivation is written, as a list."""
-    pairs = zip(found.q, found.broken, strict=True)
-    branches = [Branch(f"branch {k}", q, robot.outside(q) if x > 0.0 else ()) for k, (q, x) in enumerate(pairs, 1)]
+    branches = [Branch(f"branch {k}", q, tuple(robot.outside(q))) for k, q in enumerate(found.q, 1)]
     return WorkedSolution((), tuple(branches))
