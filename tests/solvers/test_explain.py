@@ -245,7 +245,7 @@ def test_text_latex_and_html_show_the_same_numbers(name):
     q, T = (x[0] for x in sample(arm, 1, seed=8))
     made = ik.solve(arm, T if arm.n > 2 else T[:3, 3].copy(), q0=q).explain()
     text, latex, page = str(made), made.to_markdown(), html.unescape(made.to_html())
-    assert "; the answer" in text and "not one of these branches" not in text
+    assert "; the answer" in text and "not exactly one of these branches" not in text
     assert all(branch.label in text for branch in made.worked.branches)
 
     def numbers(text):
@@ -313,6 +313,8 @@ def test_a_solve_by_iteration_is_shown_beside_the_closed_form_that_fits():
     assert np.allclose(made.iterations.q[0], (0.1, 0.5))
     near = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0), "lm", q0=(0.1, 1.5), tolerance=1e-2, restarts=0)
     assert "the nearest is branch 1, where joint_1 differs by 0.0105 deg" in " ".join(str(near.explain()).split())
+    other = str(ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0), "lm", q0=(1.5, -1.5), tolerance=1e-2).explain())
+    assert "Branch 2, elbow left (-):" in other  # The formulas are those of the branch that the answer is near.
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from ..status import SEARCHED
 from ..task import counts_in_part
 from .dh_table import dh_of
 from .explanation import Explanation, Iterations
-from .worked_solution import Branch, WorkedSolution
+from .worked_solution import WorkedSolution, nearest_branch
 
 # A branch listed by EAIK is shown if its position error over the reach is smaller; near singular poses Newton steps correct errors
 # of that size.
@@ -46,7 +46,8 @@ def explain_result(result: Any) -> Explanation:
         if not solution.steps:  # a form without formulas, as EAIK, may list branches that miss the target
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
-        chosen = _nearest(robot, solution.branches, q)
+        nearest, apart = nearest_branch(robot, solution.branches, q)
+        chosen = nearest if apart < SAME else None
         errors = tuple(robot.errors(branch.q, target) for branch in solution.branches)
         source = form.row.citation
     iterations = None
@@ -97,13 +98,6 @@ def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
         if error.name != "sympy":
             raise
         raise MissingExtra("sympy", "explain") from None
-
-
-def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
-    """Return the index of the branch that equals the answer q, or None."""
-    far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
-    best = int(np.argmin(far)) if far else 0
-    return best if far and far[best] < SAME else None
 
 
 def _beside(of: SolveRecord, name: str) -> SolveRecord:
