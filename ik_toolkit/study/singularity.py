@@ -69,7 +69,7 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
         * robot.chain.unit
     )
     J[:, :3] /= robot.chain.scale
-    directions, sizes, _ = np.linalg.svd(np.hstack(J[len(Q) :]))
+    directions, sizes, _ = np.linalg.svd(np.hstack([*J[len(Q) :]]))
     values = np.linalg.svd(directions[:, sizes > 1e-9].T @ J[: len(Q)], compute_uv=False)
     least, most = values[:, -1], values[:, 0]
     safe = least > 1e-12 * np.maximum(most, 1e-300)
