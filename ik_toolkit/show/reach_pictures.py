@@ -147,7 +147,9 @@ def plot_places(found: Placements) -> Any:
         image = raster(axis, np.where(best > 0.0, best, np.nan), *ends, cmap="viridis", vmin=0.0)
         for k, corners in enumerate(found.obstacles[..., :2]):
             for j, side in enumerate(SIDES):  # The sides of a box, seen from above, together cover its outline.
-                axis.fill(*corners[list(side)].T, color=COLOURS[3], lw=0, label=None if k + j else "obstacles")
+                axis.fill(
+                    *corners[list(side)].T, color=COLOURS[3], lw=0, label=None if k + j else "boxes around obstacles"
+                )
         axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
         for k, one in enumerate(found):
             end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])

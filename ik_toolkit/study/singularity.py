@@ -47,7 +47,8 @@ class Run:
 def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measure how near configurations are to singular ones.
 
-    Rows of the Jacobian that the robot cannot move at all are left out; lengths are divided by the robot's length scale.
+    Directions in which the tip moves at no configuration, such as that across a planar arm's plane, are left out; lengths are
+    divided by the robot's length scale.
 
     Args:
         robot: A robot with one tip.
@@ -62,11 +63,14 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
     """
     require_one_tip(robot, "a study of singularities")
     Q = np.array([robot.check_q(q) for q in Q]).reshape(-1, robot.n)
-    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6] * robot.chain.unit
+    anywhere = np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)])
+    J = (
+        robot.chain.forward(np.vstack([Q, anywhere]), jacobian=True)[1][:, : 3 if position_only else 6]
+        * robot.chain.unit
+    )
     J[:, :3] /= robot.chain.scale
-    some = robot.chain.forward(np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)]), jacobian=True)[1]
-    moved = np.abs(some[:, : J.shape[1]]).max(axis=(0, 2)) > 1e-9
-    values = np.linalg.svd(J[:, moved], compute_uv=False)
+    directions, sizes, _ = np.linalg.svd(np.hstack([*J[len(Q) :]]))
+    values = np.linalg.svd(directions[:, sizes > 1e-9].T @ J[: len(Q)], compute_uv=False)
     least, most = values[:, -1], values[:, 0]
     safe = least > 1e-12 * np.maximum(most, 1e-300)
     condition = np.where(safe, most / np.where(safe, least, 1.0), np.inf)

@@ -8,6 +8,7 @@ import pytest
 from folders import read_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from serial_arms import drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, ModelError
@@ -223,3 +224,27 @@ def test_a_table_given_as_a_robot_says_how_to_make_one(tmp_path):
     (tmp_path / "arm.toml").write_text('name = "arm"')
     with pytest.raises(ModelError, match=r"'arm.toml' is a D-H table; .*dh arm.toml -o OUT.urdf. makes a URDF of it"):
         ik.Robot.load(tmp_path / "arm.toml")
+
+
+def nearly_parallel(pitch, y, last):
+    """An arm whose second axis differs from the first by a rounded half turn about y; its third joint is at y, turned by `last`."""
+    places = ((0, 0, 0), (0, 0, 0)), ((-0.2, 0, 0), (0, pitch, 0)), ((0, y, 0), (0, last, 0))
+    return drawn([("revolute", *place, (0, 0, 1), -2.0, 2.0) for place in places], (0.2, 0.0, 0.1), (0.3, 0.2, 0.1))
+
+
+@pytest.mark.parametrize("pitch", [3.14159, 3.141593, 3.1416])
+def test_axes_rounded_to_parallel_have_a_table(pitch):
+    """The common normal is kilometres away, so the rows are long, and the least error of a frame would be multiplied."""
+    arm = nearly_parallel(pitch, 0.3, 0.0)
+    table = ik.solve(arm, arm.fk(arm.home).translation).explain().tables["tip"]
+    assert (
+        max(np.abs(dh_fk(table, q) - arm.fk(q).homogeneous).max() for q in arm.random_q(np.random.default_rng(0), 5))
+        < 1e-9
+    )
+
+
+def test_where_there_is_no_table_the_reason_is_true():
+    arm = nearly_parallel(3.1415959717, 0.0, 3.1415926823)
+    made = ik.solve(arm, arm.fk(arm.home).translation).explain()
+    assert made.tables == {"tip": None}
+    assert "None: axes that are parallel but for rounding" in str(made) and "drives others" not in str(made)

@@ -245,7 +245,7 @@ def test_text_latex_and_html_show_the_same_numbers(name):
     q, T = (x[0] for x in sample(arm, 1, seed=8))
     made = ik.solve(arm, T if arm.n > 2 else T[:3, 3].copy(), q0=q).explain()
     text, latex, page = str(made), made.to_markdown(), html.unescape(made.to_html())
-    assert "; the answer" in text and "not one of these branches" not in text
+    assert "; the answer" in text and "not exactly one of these branches" not in text
     assert all(branch.label in text for branch in made.worked.branches)
 
     def numbers(text):
@@ -311,6 +311,26 @@ def test_a_solve_by_iteration_is_shown_beside_the_closed_form_that_fits():
     made = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.5, 0.0), "newton", q0=(0.1, 0.5)).explain()
     assert made.form == "planar-2r" and made.chosen is not None and made.iterations.solver == "newton"
     assert np.allclose(made.iterations.q[0], (0.1, 0.5))
+    near = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0), "lm", q0=(0.1, 1.5), tolerance=1e-2, restarts=0)
+    assert "the nearest is branch 1, where joint_1 differs by 0.0105 deg" in " ".join(str(near.explain()).split())
+    other = str(ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0), "lm", q0=(1.5, -1.5), tolerance=1e-2).explain())
+    assert "Branch 2, elbow left (-):" in other  # The formulas are those of the branch that the answer is near.
+
+
+@pytest.mark.parametrize(
+    "options", [{"closest": True}, {"priority": "position"}, {"follow": 0.5, "q0": (0.0, 1.7)}], ids=str
+)
+def test_options_that_a_closed_form_does_not_take_are_explained_beside_it(options):
+    made = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0), **options).explain()
+    assert made.form == "planar-2r" and made.iterations.solver != "planar-2r"
+
+
+def test_without_limits_the_branches_are_still_compared_with_them():
+    planar, lifted = ik.Robot.load("planar_2r"), ik.Robot.load("inspection_7dof")
+    flat = ik.solve(planar, (-0.3, 0.05, 0.0), limits=False).explain()
+    high = ik.solve(lifted, lifted.fk([2.0, 0.8, 2.5, 1.0, 2.0, 0.5, 0.1]), limits=False).explain()
+    assert all(b.outside == tuple(made.robot.outside(b.q)) != () for made in (flat, high) for b in made.worked.branches)
+    assert not high.worked.free.inside and "from nowhere within its limits" in " ".join(str(high).split())
 
 
 def test_newton_starts_elsewhere_where_the_start_is_the_answer():

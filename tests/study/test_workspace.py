@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import robots
 from folders import csv_rows
+from serial_arms import drawn
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
@@ -154,6 +155,9 @@ def test_measures_of_a_planar_arm():
     area = np.abs(np.sin(Q[:, 1])) / robot.chain.scale**2  # links of 1 m: |det J| = sin(theta_2)
     assert np.abs(product - area).max() < 1e-12
     assert condition[0] == np.inf and least[0] == 0.0 and (condition[1:] < 10).all()
+    places = ((0.0, 0.0, 0.0), (0.5, 0.3, 0.2)), ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    tilted = drawn([("revolute", *place, (0, 0, 1), -2.6, 2.6) for place in places], (1.0, 0.0, 0.0))
+    assert np.allclose(measures(tilted, Q), (product, condition, least), atol=1e-12)
     for bad in ([0.3, 0.0], [[0.3, np.nan]]):
         with pytest.raises(InvalidConfiguration):
             measures(robot, bad)

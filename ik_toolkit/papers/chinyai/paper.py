@@ -222,7 +222,7 @@ def _failures(report: Report, rng: np.random.Generator) -> None:
     outside = 100.0 * float(np.mean(np.abs(out[good, :2]).max(axis=1) > math.pi))
     other = 100.0 * float(np.mean(np.sin(out[good, 1]) < 0))
     border = {
-        r: planar.converge(np.array([[r, 0.0]]), 1.0, 1.0, np.radians((45.0, 90.0)), planar.SEARCH)[0]
+        r: planar.converge(np.array([[r, 0.0]]), 1.0, 1.0, np.radians((45.0, 90.0)), planar.PLAIN)[0]
         for r in (2.0, 1.9)
     }
     angle = rng.uniform(-np.pi, np.pi, 2000)

@@ -282,7 +282,7 @@ def _misprints(report: Report, printed: np.ndarray) -> None:
         Atan2(S/C), one argument | slip of notation | atan2(S, C)
         +-Atan2(s, sqrt(1 - s^2)) | -theta has the sine -s | atan2(s, +-sqrt(1 - s^2)): theta or pi - theta
         theta_45 = acos(...), (9) | loses the sign | +-acos, both are solutions
-        theta_67 | used, never given | atan2 of its sine and cosine
+        theta_67 | used, never given | acos((S1 nx - C1 ny) / S45), which gives the printed 23.22 but loses the sign: both are tried
         theta_2 = 0 | {lift} | the lift is an input or the free parameter
         division by s45 and C3 | undefined where they vanish, not mentioned | ours divides by neither
         Table 1, Atan2(0, negative) | gives 0 (sign(0) = 0) | pi

@@ -90,7 +90,7 @@ class Lesson:
         self.made = result.explain()
         # A typed rotation may have been corrected to an orthogonal matrix.
         self.T = self.made.targets[self.robot.tip] if self.posed else T
-        self.shown = self.made.chosen or 0
+        self.shown = self.made.nearest
         return result
 
     @property
@@ -290,7 +290,9 @@ class Learn:
             button.visible = k < len(lesson.branches)
         if made.worked is not None and lesson.branches:
             free = [Sentence(made.free_words())] if made.worked.free is not None else []
-            free += [Sentence("The solver's solution is not one of these branches.")] if made.chosen is None else []
+            free += (
+                [Sentence("The solver's solution is not exactly one of these branches.")] if made.chosen is None else []
+            )
             values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
             legend = [Sentence(made.worked.legend)] if made.worked.legend else []
             self.words.content = to_html([*free, values, *legend])

@@ -29,9 +29,8 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-# Each row of the `table` of `worked_out` describes a branch; its angles begin at index ANGLES, then comes by how much it exceeds a
-# limit, then q.
-ANGLES, BROKEN, Q = 3, 9, 10
+# Each row of the `table` of `worked_out` describes a branch; its angles begin at index ANGLES, q at Q.
+ANGLES, Q = 3, 9
 # Where two transforms begin in the array of the arm's parameters: base to shoulder axes, and tip to wrist axes, each as rotation
 # (9), then point (3).
 BASE, TOOL = 0, 12
@@ -57,12 +56,12 @@ HEAD = HeadSlots()
 
 @cached
 def worked_out(p, T, d, box, head, table):
-    """Fill head (22,) and table (8, 10 + n) with what the solver computes for the pose T (4, 4); return the number of branches.
+    """Fill head (22,) and table (8, 9 + n) with what the solver computes for the pose T (4, 4); return the number of branches.
 
     p: the arm's parameters (`lift_arm`); d: value [m] of the prismatic joint; box (4, n): limits, reference, weights. head holds
     the wrist pose (12), the shoulder in the wrist's axes (3), the distance to the edge of the reach [m], how far [m] the wrist was
     moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers (0 or 1) of its
-    elbow, wrist and shoulder, theta_1 and theta_3 to theta_7, by how much it exceeds limits, and q.
+    elbow, wrist and shoulder, theta_1 and theta_3 to theta_7, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -81,8 +80,8 @@ def worked_out(p, T, d, box, head, table):
             for k3 in range(1 if tilt <= ON_AXIS else 2):
                 row = table[count]
                 row[0], row[1], row[2] = k6, k5, k3
-                fill_shoulder_branch(row[ANGLES:BROKEN], k3, t1, t3, t4, t5, t6, t7)
-                row[BROKEN] = joint_values(p, row[ANGLES:BROKEN], d, box, row[Q:])[0]
+                fill_shoulder_branch(row[ANGLES:Q], k3, t1, t3, t4, t5, t6, t7)
+                joint_values(p, row[ANGLES:Q], d, box, row[Q:])
                 count += 1
     return count
 
@@ -104,13 +103,12 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
     for row, mark in zip(table[:count], marks, strict=True):
         label = ", ".join(f"{name} {SIGNS[int(x)]}" for name, x in zip(PARTS, mark, strict=True))
         q = row[Q:].copy()
-        outside = tuple(robot.outside(q)) if row[BROKEN] > 0.0 else ()
         own = Worksheet(sheet.steps)
         _angles(own, symbols, robot, p, head, row)
-        branches.append(Branch(label, q, outside, tuple(own.steps)))
+        branches.append(Branch(label, q, tuple(robot.outside(q)), tuple(own.steps)))
     free, words = None, ""
     if place >= 0:
-        inside = feasible_lifts(p, T, box[0, place], box[1, place])
+        inside = feasible_lifts(p, T, robot.lower[place], robot.upper[place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
     if _is_far(p, head):
         where = f" at lift {length(value, 6)}" if place >= 0 else ""
@@ -200,7 +198,7 @@ def _angles(
 ) -> None:
     """Add the formulas for the joint angles of one branch to the worksheet; row: the branch in the `table` of `worked_out`."""
     k6, k5, k3 = map(int, row[:3])
-    t1, t3, t4, t5, t6, t7 = row[ANGLES:BROKEN]
+    t1, t3, t4, t5, t6, t7 = row[ANGLES:Q]
     R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))
     wrist, elbow = atan2(s_z, L), -beta if k6 else beta
     theta_5 = sheet.angle("theta_5", pi - wrist if k5 else wrist, t5, "the wrist's other side" if k5 else "")

@@ -63,8 +63,7 @@ def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> 
             theta_1 = own.angle("theta_1", psi - beta, angles[k, 0])
         for i, theta in enumerate((theta_1, theta_2)):
             own.joint(robot.joint_names[i], theta, i, p[ANGLES + 2 * i], zeros[str(theta)], q[k, i])
-        outside = tuple(robot.outside(q[k])) if broken[k] > 0.0 else ()
-        branches.append(Branch(LABELS[side], q[k], outside, tuple(own.steps)))
+        branches.append(Branch(LABELS[side], q[k], tuple(robot.outside(q[k])), tuple(own.steps)))
     return WorkedSolution(
         tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, point[2] - p[HEIGHT]), None, BESIDE
     )

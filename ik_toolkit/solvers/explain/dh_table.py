@@ -21,7 +21,7 @@ AGREES = 1e-6  # [rad, or length over the reach] largest difference allowed betw
 def dh_of(robot: Any) -> DHTable | None:
     """Return the D-H table with a row for each joint of a robot: its own table file, or one read off the joint axes.
 
-    None if neither gives the kinematics of the robot, as with mimic joints.
+    None if neither gives the kinematics of the robot, as with mimic joints, or axes that are parallel but for rounding.
     """
     entry = shipped_robots().get(robot.name)
     if entry is not None and entry.dh_file is not None:
@@ -49,7 +49,8 @@ def _agrees(table: DHTable, robot: Any) -> bool:
 def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
     """Yield the table of an arm with its joints at q (n,), in mm and degrees; the value that a joint changes is marked."""
     if table is None:
-        yield Sentence("None: a joint that drives others has no row of its own.")
+        why = "axes that are parallel but for rounding lead to rows too long to compute with"
+        yield Sentence(f"None: {why if arm.chain.plain else 'a joint that drives others has no row of its own'}.")
         return
     rows, places = [], decimals(arm.reach)
     for row, x in zip(table.rows, q, strict=True):
@@ -106,6 +107,9 @@ def _clean(value: float) -> float:
 
 
 def _frame(z: np.ndarray, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    # What rounding has left of x along z is taken off, because a long d of the next row would multiply it.
+    x = across(z, x)
+    x = x / np.linalg.norm(x)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), origin
     return T
@@ -123,15 +127,17 @@ def _next(
     z: np.ndarray, x: np.ndarray, origin: np.ndarray, after: np.ndarray, point: np.ndarray, near: float
 ) -> np.ndarray:
     """Return the frame on the axis `after` through `point` whose x axis is the common normal from the axis z through `origin`."""
-    normal = np.cross(z, after)
-    if np.linalg.norm(normal) < SAME:
+    # This is z x after. With the part along z taken off first, it is exact also where the axes are nearly parallel.
+    normal = np.cross(z, after - math.copysign(1.0, z @ after) * z)
+    length = float(np.linalg.norm(normal))
+    if length < SAME:
         foot = across(z, point - origin)
         far = float(np.linalg.norm(foot))
         return _frame(after, foot / far if far > near else x, origin + (foot if far > near else 0.0))
     # The feet of the common normal are origin + s z and point + t after; they differ by a multiple of the normal.
     s, t, gap = np.linalg.solve(np.column_stack([z, -after, normal]), point - origin)
-    normal = normal / np.linalg.norm(normal)
-    meets = abs(gap) * np.linalg.norm(np.cross(z, after)) <= near
+    normal = normal / length
+    meets = abs(gap) * length <= near
     sign = (1.0 if normal @ x >= -SAME else -1.0) if meets else math.copysign(1.0, gap)
     return _frame(after, sign * normal, origin + s * z if meets else point + t * after)
 

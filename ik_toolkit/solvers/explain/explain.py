@@ -9,6 +9,7 @@ from ...errors import InvalidTarget, MissingExtra
 from ...kernel.counted_error import KIND
 from ...kernel.records import AT, SIZE
 from ..closed_form import fits
+from ..options import Options
 from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import record
@@ -18,7 +19,7 @@ from ..status import SEARCHED
 from ..task import counts_in_part
 from .dh_table import dh_of
 from .explanation import Explanation, Iterations
-from .worked_solution import Branch, WorkedSolution
+from .worked_solution import WorkedSolution, nearest_branch
 
 # A branch listed by EAIK is shown if its position error over the reach is smaller; near singular poses Newton steps correct errors
 # of that size.
@@ -45,7 +46,8 @@ def explain_result(result: Any) -> Explanation:
         if not solution.steps:  # a form without formulas, as EAIK, may list branches that miss the target
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
-        chosen = _nearest(robot, solution.branches, q)
+        nearest, apart = nearest_branch(robot, solution.branches, q)
+        chosen = nearest if apart < SAME else None
         errors = tuple(robot.errors(branch.q, target) for branch in solution.branches)
         source = form.row.citation
     iterations = None
@@ -81,7 +83,8 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
         what = f"No closed form of the toolkit fits '{robot.name}' and this kind of target"
         return None, f"{what}, so the solution is found by iteration."
     row = find_row(name)
-    return Plan(robot, row, row.load()(), plan.options), ""
+    # The form is only written out, so options that it would refuse to solve with (closest, follow, priority) are left out.
+    return Plan(robot, row, row.load()(), Options(limits=plan.options.limits)), ""
 
 
 def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
@@ -95,13 +98,6 @@ def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
         if error.name != "sympy":
             raise
         raise MissingExtra("sympy", "explain") from None
-
-
-def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
-    """Return the index of the branch that equals the answer q, or None."""
-    far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
-    best = int(np.argmin(far)) if far else 0
-    return best if far and far[best] < SAME else None
 
 
 def _beside(of: SolveRecord, name: str) -> SolveRecord:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.formats.dh import DHTable
-from ...text import how_many, length
+from ...text import angle, how_many, length
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,
@@ -25,7 +25,7 @@ from .layout import (
     to_markdown,
     unit_of,
 )
-from .worked_solution import Branch, WorkedSolution
+from .worked_solution import Branch, WorkedSolution, nearest_branch
 
 
 class Iterations(NamedTuple):
@@ -81,6 +81,11 @@ class Explanation:
         """The number of decimals with which millimetres are shown."""
         return decimals(self.robot.reach)
 
+    @property
+    def nearest(self) -> int:
+        """Index of the branch whose joint values are nearest the answer, 0 if there is no branch."""
+        return nearest_branch(self.robot, self.worked.branches, self.q)[0] if self.worked is not None else 0
+
     def blocks(self) -> Iterator[Block]:
         """Yield the parts of the explanation in order: sentences, titles, tables and equations, as yet without a format."""
         yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
@@ -94,7 +99,7 @@ class Explanation:
             yield Title(f"Closed form '{self.form}'")
             if self.worked.free is not None:
                 yield Sentence(self.free_words())
-            yield from self.formula_blocks(self.chosen or 0)
+            yield from self.formula_blocks(self.nearest)
             yield Title("Branches")
             yield from self.branch_blocks()
         else:
@@ -162,7 +167,13 @@ class Explanation:
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
         yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
         if self.chosen is None:
-            yield Sentence("The solution is not one of these branches.")
+            # The answer may be a branch up to a solver's tolerance or to Newton steps, so the text says how far off it is.
+            k = self.nearest
+            i = int(np.argmax(np.abs(branches[k].q - self.q) / self.robot.chain.unit))
+            off = abs(float(branches[k].q[i] - self.q[i]))
+            size = length(off) if kinds[i] == "prismatic" else angle(off)
+            where = f"the nearest is branch {k + 1}, where {self.robot.joint_names[i]} differs by {size}"
+            yield Sentence(f"The solution is not exactly one of these branches; {where}.")
 
     def iteration_blocks(self) -> Iterator[Block]:
         """Yield a table of the errors in each iteration of an iterative solver, and a sentence on how it ended."""

@@ -1,5 +1,6 @@
 """A closed form written out for one target: its formulas with their numbers, and its branches."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,6 +77,15 @@ class WorkedSolution(NamedTuple):
 
 def listed_branches(robot: Any, found: Any) -> WorkedSolution:
     """Return the branches (`closed_form.geometry.Branches`) of a closed form for which no derivation is written, as a list."""
-    pairs = zip(found.q, found.broken, strict=True)
-    branches = [Branch(f"branch {k}", q, robot.outside(q) if x > 0.0 else ()) for k, (q, x) in enumerate(pairs, 1)]
+    branches = [Branch(f"branch {k}", q, tuple(robot.outside(q))) for k, q in enumerate(found.q, 1)]
     return WorkedSolution((), tuple(branches))
+
+
+def nearest_branch(robot: Any, branches: Sequence[Branch], q: np.ndarray) -> tuple[int, float]:
+    """Return the index of the branch nearest q (n,) [rad or m], and by how much [rad, or length over the reach] it differs at most.
+
+    Without any branch these are 0 and infinity.
+    """
+    far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
+    best = int(np.argmin(far)) if far else 0
+    return best, far[best] if far else np.inf
