@@ -107,7 +107,7 @@ def solve_path(
     _check(options, progress)
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
-    robot = solver.robot  # a copy of the given robot with narrower limits, if the options say so
+    robot, seed = solver.robot, solver.options.seed  # the limits may be narrower; a seed of 1.0 is now 1
     T, kinds = _read(robot, poses)
     step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)

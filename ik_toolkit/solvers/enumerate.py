@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.checks import CODE
+from ..kernel.kinematics import RATIO, TAU
 from ..kernel.records import AT, SIZE
 from ..text import how_many
 from .closed_form.geometry import Family
@@ -169,11 +170,15 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return whether (n,) each joint may be shifted by 2 pi, and whether it must stay inside its limits when shifted."""
-    robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # multiples of 2 pi may be added to every angle
-        return ~robot.slides, False
-    return robot.chain.turns > 0, plan.options.limits
+    """Return whether (n,) each joint may be shifted by 2 pi, and whether it must stay inside its limits when shifted.
+
+    A joint may be shifted if everything that it moves turns with it, mimic joints by a whole multiple of its angle.
+    """
+    robot, limited = plan.robot, plan.options.limits
+    ratio, owner, turns = robot.chain.rows[:, [4, 8, 9]].T
+    turning = robot.upper - robot.lower >= TAU - 1e-9 if limited else np.ones(robot.n, dtype=bool)
+    turning[owner[(turns == 0.0) | (np.abs(ratio - np.round(ratio)) > RATIO)].astype(int)] = False
+    return turning, limited
 
 
 def spread_rows(found: Solutions, count: int) -> Solutions:

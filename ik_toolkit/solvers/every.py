@@ -18,7 +18,7 @@ from .closed_form.elimination import forms_of, solutions_of
 from .closed_form.geometry import SNAP, Family, into_limits, read_screws
 from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
-from .enumerate import distinct_rows, search_solutions, spread_rows
+from .enumerate import distinct_rows, search_solutions, spread_rows, turning_joints
 from .plan import Plan
 from .postprocess import confirmed
 from .self_motion import END, FOLLOWING, SelfMotion, self_motions, slicings_of
@@ -167,7 +167,7 @@ def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, star
     if not plan.options.limits:
         raise InvalidOption("all_turns lists the full turns inside the limits, so it cannot be given with limits=False")
     low, high, rows, Q = robot.lower - BORDER, robot.upper + BORDER, [], []
-    turning = np.flatnonzero((robot.chain.turns > 0) & np.isfinite(low) & np.isfinite(high))
+    turning = np.flatnonzero(turning_joints(plan)[0] & np.isfinite(low) & np.isfinite(high))
     lost = False
     for k, q in enumerate(found.q):
         first, last = np.ceil((low - q) / TAU)[turning], np.floor((high - q) / TAU)[turning]

@@ -254,7 +254,12 @@ def _failure(result: Any, left: str, tried: str) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        beyond = [f"{tip} by {length(x)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
+        # A tip that comes nearer to its target than the bound does so with another orientation: the bound is that of its wrist.
+        beyond = [
+            f"{tip} by {length(x)}{' with its orientation kept' * (x > position)}"
+            for tip, x, (position, _) in zip(robot.tips, result._of.excess(), unweighted(result)[0], strict=True)
+            if x > 0
+        ]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
             return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {tried}"

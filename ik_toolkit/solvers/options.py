@@ -291,7 +291,8 @@ def levels_of(value: Any) -> tuple[tuple[tuple[str, str], ...], ...]:
 
     The tip "" means every tip. Raises InvalidOption.
     """
-    single = isinstance(value, str) or (isinstance(value, tuple) and len(value) == 2 and value[1] in GROUPS)
+    pair = isinstance(value, tuple) and len(value) == 2 and isinstance(value[1], str) and value[1] in GROUPS
+    single = isinstance(value, str) or pair
     levels = [value] if single else value
     if not isinstance(levels, list | tuple) or not levels:
         raise InvalidOption(

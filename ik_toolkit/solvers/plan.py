@@ -247,6 +247,7 @@ class Plan:
         give_up = length.give_up if attempts > 1 and o.max_iterations is None else None
         c, rho, c_free, rho_free = give_up or NEVER
         own_starts = self._table(kinds[0] == KIND.position) is not self.chain
+        numbers = parameters(row, self.rule, asked)
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,
@@ -264,12 +265,12 @@ class Plan:
             limits=o.limits,
             seed=o.seed,
             closest=CLOSEST if o.closest else 0,
-            hold=self.rule.hold,
+            hold=float(self.rule.hold),
             follow=o.follow or 0.0,
             follow_slide=o.follow * self.robot.reach if o.follow else 0.0,
         )
         weights = np.ones(self.robot.n) if o.joint_weights is None else o.joint_weights
-        return np.concatenate([orders, *tasks, weights, parameters(row, self.rule, asked)])
+        return np.concatenate([orders, *tasks, weights, numbers])
 
     def check_start(self, q0: Any, name: str = "q0") -> tuple[np.ndarray, str]:
         """Read q0 (or another configuration of this name) in any form, check it as `check_starts` does; return (1, n), a notice."""

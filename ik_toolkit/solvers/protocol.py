@@ -274,9 +274,11 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
     """Return the numbers of the rule (`pack`) as an array (K,), for the compiled step.
 
-    Raises InvalidOption if one is missing or not finite.
+    Raises InvalidOption if one is missing, not finite, or complex.
     """
     try:
+        if any(np.iscomplexobj(value) for value in solver):  # numpy would drop the imaginary part with a mere warning
+            raise TypeError
         numbers = np.asarray(solver.pack(asked.robot, asked), dtype=float)
     except IKError:
         raise

@@ -1,13 +1,14 @@
 """Every public call, with each of its arrays replaced by something else: an error of ours or an answer, never a raw exception."""
 
 from dataclasses import fields
+from decimal import Decimal
 
 import numpy as np
 import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.errors import IKError
+from ik_toolkit.errors import IKError, InvalidOption
 from ik_toolkit.solvers.options import Options
 
 BAD = {
@@ -47,6 +48,10 @@ BAD = {
     "nested dict": {"tip": {"tip": 1}},
     "slice": slice(1),
     "function": len,
+    "complex number": np.complex128(1.0 + 1.0j),
+    "Decimal": Decimal(1),
+    "whole": 2.0,
+    "pair of arrays": (np.zeros(2), np.ones(2)),
 }
 
 
@@ -72,6 +77,8 @@ CALLS = {
     "solve, mask": lambda x: ik.solve(arm(), P, "lm", mask=x),
     "solve, slack": lambda x: ik.solve(arm(), P, "lm", slack=x),
     "solve, weights": lambda x: ik.solve(arm(), P, "lm", joint_weights=x),
+    "solve, hold": lambda x: ik.solve(arm(), P, "dls", hold=x),
+    "solve, a matrix": lambda x: ik.solve(arm(), P, "state-space", A=x, B=np.ones((2, 3)), C=np.eye(2)),
     "Solver, target": lambda x: ik.Solver(arm())(x),
     "Solver, q0": lambda x: ik.Solver(arm())(P, x),
     "Solver.all": lambda x: ik.Solver(arm()).all(x),
@@ -155,3 +162,11 @@ def test_what_is_no_such_array_is_refused_by_name(name):
             assert str(error), kind
         except Exception as error:
             raise AssertionError(f"{name} of {kind}: {error!r}") from error
+
+
+@pytest.mark.parametrize(
+    "solver", [ik.LM(damping=0.1 + 1j), ik.StateSpace(A=np.eye(2) * 1j, B=np.ones((2, 3)), C=np.eye(2))]
+)
+def test_a_complex_parameter_is_refused(solver):
+    with pytest.raises(InvalidOption, match="must be finite numbers"):
+        ik.solve(arm(), P, solver)

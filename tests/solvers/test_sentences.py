@@ -96,6 +96,18 @@ def test_the_bound_of_the_reach_does_not_look_larger_than_the_error():
         assert result.position_error == pytest.approx(x - 2.0, abs=1e-6)  # no place within reach is nearer
 
 
+def test_where_q_comes_nearer_than_the_bound_the_bound_says_that_it_keeps_the_orientation():
+    crank = ik.Robot.load(robots.urdf(dict(kind="continuous"), dict(kind="fixed", xyz="0.5 0 0")))
+    pose = crank.fk([0.4]).homogeneous
+    pose[:3, :3] = crank.fk([0.4 + np.pi]).rotation
+    there = ik.solve(
+        crank, pose, length_scale=0.01
+    )  # the position comes first: the tip is nearly there, turned by half a turn
+    assert there.status == Status.UNREACHABLE and there.position_error < 1e-3
+    assert "beyond reach by 1 m with its orientation kept (a bound from" in there.message
+    assert "orientation" not in ik.solve(crank, 3.0 * pose[:3, 3]).message
+
+
 def test_beyond_reach(arm, brokk):
     for goal, restarts in (((9.0, 0.0, 0.0), 0), ((9.0, 0.0, 0.0), 2), (ik.pose((9.0, 0.0, 0.0)), 9)):
         result = ik.solve(arm, goal, "lm", q0=arm.home, restarts=restarts)

@@ -185,3 +185,24 @@ def test_a_part_of_a_list_is_not_complete_and_a_list_that_was_cut_says_so():
     assert ik.solve_all(arm, arm.fk(arm.home), limits=False, count=len(every)).message == every.message
     both = ik.Solver(arm).all([arm.fk(arm.home), arm.fk(arm.home + 0.1)])
     assert len(both) == 2 and both[1].complete and np.allclose(both[1].q[0], arm.home + 0.1, atol=1e-5)
+
+
+@pytest.mark.parametrize(("ratio", "limits"), [(1, True), (2, False), (-1, False)])
+def test_solutions_that_are_turns_apart_are_listed_once_with_mimic_joints_and_for_several_tips(ratio, limits):
+    wide, up, on = (-7.0, 7.0), "0 1 0", "0.4 0 0"
+    arm = [
+        robots.joint("a", "revolute", "o", "l1", limits=wide),
+        robots.joint("b", "revolute", "l1", "l2", up, on, limits=(-15.0, 15.0), mimic=robots.tie("a", ratio)),
+        robots.joint("c", "revolute", "l2", "l3", up, on, limits=wide),
+        robots.joint("d", "fixed", "l3", "hand", xyz=on),
+        robots.joint("e", "revolute", "l1", "l4", "1 0 0", limits=wide),
+        robots.joint("f", "fixed", "l4", "foot"),
+    ]
+    text = robots.branches(*arm)
+    for robot in (ik.Robot.load(text, tip="hand"), ik.Tree.load(text, tips=["hand", "foot"])):
+        q = np.array([1.0, 1.1, 1.2])[: robot.n]
+        found = ik.solve_all(robot, robot.fk(q), starts=300, limits=limits)
+        assert len(found) == 1 and np.allclose(found.q[0], q, atol=1e-6)
+        if limits:
+            turned = ik.solve_all(robot, robot.fk(q), starts=300, all_turns=True)
+            assert len(turned) == 2**robot.n and len(np.unique(np.round(turned.q, 6), axis=0)) == len(turned)
