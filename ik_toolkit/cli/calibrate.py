@@ -55,7 +55,7 @@ class CalibrateOptions:
     output: Path | None = option(
         "FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[]
     )
-    html: Path | None = option("FILE", "Write all of it as one HTML page.", writes=[".html", ".htm"], needs=["--data"])
+    html: Path | None = option("FILE", "Write all of it as one HTML page.", writes=[], needs=["--data"])
     plot: Path | None = option(
         "FILE", "Draw residuals and errors to a .png, .pdf or .svg file.", writes=PLOTS, needs=["--data"]
     )
@@ -81,6 +81,8 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)
+    if asked.html is not None:  # a page without a scene, which needs no extra
+        as_output(asked.html, "the file of --html", ".html", ".htm")
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]
     if asked.data is None:

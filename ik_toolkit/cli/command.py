@@ -60,11 +60,13 @@ def flag(
     default: bool = False,
     panel: str | None = None,
     hidden: bool = False,
+    callback: Callable[..., Any] | None = None,
     needs: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Any:
     """Return a dataclass field for an option without a value: --name, or --name/--no-name if it can be negated."""
-    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden), needs, without)
+    made = typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden, callback=callback)
+    return _field(default, made, needs, without)
 
 
 def argument(metavar: str, meaning: str, default: Any = REQUIRED, complete: Callable[..., Any] | None = None) -> Any:
@@ -152,19 +154,27 @@ def add_commands(app: typer.Typer, module: Any) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- files
 def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """Return a callback that checks an output path before the work starts: suffix, folder, and matplotlib if it is a plot."""
+    """Return a callback that checks an output path before the work starts: suffix, folder, and what draws a plot or a scene."""
 
     def check(param: typer.CallbackParam, file: Path | None) -> Path | None:
         if file is None:
             return None
         if suffixes:
             as_output(file, f"the file of {'/'.join(param.opts)}", *suffixes)
-        if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
-            raise MissingExtra("matplotlib", "plots")
+        for kind, package, extra in ((".png", "matplotlib", "plots"), (".html", "trimesh", "view")):
+            if kind in suffixes and importlib.util.find_spec(package) is None:
+                raise MissingExtra(package, extra)
         require_place(file)
         return file
 
     return check
+
+
+def can_show(_: typer.CallbackParam, live: bool) -> bool:
+    """Return the value of an option that shows a scene once the work is done. Raises MissingExtra if it cannot be drawn."""
+    if live and importlib.util.find_spec("trimesh") is None:
+        raise MissingExtra("trimesh", "view")
+    return live
 
 
 def numeric(kind: type) -> Callable[[typer.CallbackParam, Any], Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
 from ..text import comma_hint, numbers, parameter, vector, with_points
-from .command import TIP, argument, flag, in_radians, option, options
+from .command import TIP, argument, can_show, flag, in_radians, option, options
 from .completion import links_like, robots_like, tips_like
 from .output import notice, turns
 
@@ -49,7 +49,7 @@ class SceneOutput(JsonOutput):
     html: Path | None = option(
         "FILE", "Write the scene as one HTML file that needs no network.", "--html", writes=[".html", ".htm"]
     )
-    live: bool = flag("--view", "Show the robot in 3-D in the browser, until Ctrl-C.")
+    live: bool = flag("--view", "Show the robot in 3-D in the browser, until Ctrl-C.", callback=can_show)
 
 
 # --------------------------------------------------------------------------------------------------------------- robot

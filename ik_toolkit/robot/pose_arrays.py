@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from ..errors import InvalidTarget, near_match
 from ..files import NAMES, NUMBERS, check_arrays, read_json, why_unread
 from .pose import as_array
 from .ros import listed_poses
+from .rotation import rotation_columns
 
 QUAT = ("qx", "qy", "qz", "qw")
 FORMS = {  # descriptions of the file formats, for error messages
@@ -107,6 +108,14 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
         raise InvalidTarget(f"'{path.name}': {at} numbers that are not finite; fill them in, or leave the rows out")
 
 
+def _refuse_rotations(path: Path, names: Iterable[str]) -> None:
+    """Raise InvalidTarget if one of the `names` of arrays that stand beside positions is that of rotations."""
+    # A saved run has errors of its orientations, which turn nothing.
+    others = [name.lower() for name in names if "error" not in name and "between" not in name]
+    if unread := rotation_columns(others):
+        raise InvalidTarget(f"'{path.name}': {', '.join(unread)} would not be read; {FORMS[path.suffix.lower()]}")
+
+
 def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, np.ndarray]:
     """Read targets from an NPZ or JSON file: return times t (N,) [s] (None unless `times`) and poses (N, 4, 4) or positions (N, 3).
 
@@ -114,10 +123,12 @@ def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, 
     """
     with _arrays(path, ("targets", "t", "xyz", *ORDERS), base) as file:
         if "targets" in file and not times:
-            targets = file["targets"]
+            targets = np.asarray(file["targets"], dtype=float)
             _require_rows(path, "targets", targets)
             if targets.ndim not in (2, 3):
                 raise InvalidTarget(f"'{path.name}': targets has the shape (N, 4, 4) or (N, 3), not {targets.shape}")
+            if targets.shape[1:] == (3,):
+                _refuse_rotations(path, file)
             return None, targets
         for name in ("t", "xyz") if times else ("xyz",):
             if name not in file:
@@ -131,6 +142,8 @@ def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, 
         if len(given) > 1:
             raise InvalidTarget(f"'{path.name}' has {' and '.join(given)}; give only one of them")
         quat = np.asarray(file[given[0]], dtype=float) if given else None
+        if quat is None:
+            _refuse_rotations(path, file)
     for name, array in (("t", t), ("xyz", xyz), ("".join(given), quat)):
         if array is not None:
             _require_rows(path, name, array)
@@ -182,12 +195,13 @@ def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.
     InvalidTarget.
     """
     with _arrays(path, ("targets", "tips", *tips), base) as file:
-        named = {tip: file[tip] for tip in tips if tip in file}
+        named = {tip: np.asarray(file[tip], dtype=float) for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
-        targets = file["targets"] if "targets" in file and not named else None
+        targets = np.asarray(file["targets"], dtype=float) if "targets" in file and not named else None
         names = list(file)
     if targets is None:
-        strange = [name for name in names if name not in tips and near_match(name, tips)]
+        beside = [name for name in names if name not in tips]
+        strange = [name for name in beside if near_match(name, tips) or name.rpartition(".")[0] in tips]
         if strange or not named:
             raise InvalidTarget(
                 f"'{path.name}' needs an array 'targets', or one by the name of each tip ({', '.join(tips)}); it has "
@@ -211,6 +225,8 @@ def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.
             f"'{path.name}': targets of {', '.join(order)} have the shape (N, {len(order)}, 4, 4) or (N, {len(order)}, 3), "
             f"not {targets.shape}"
         )
+    if targets.ndim == 3:
+        _refuse_rotations(path, set(names) - {*tips})
     return {tip: targets[:, f] for f, tip in enumerate(order)}
 
 

@@ -142,7 +142,7 @@ class ArmFit:
         E, A = e[: len(every) * per].reshape(-1, per), A[: len(every) * per, used]
         kept = A[np.repeat(self.kept, per)]
         known = np.append(np.ones(int(self.free.sum())), np.full(len(self.z), 1e-6))
-        doubt = np.einsum("ij,jk,ik->i", A, np.linalg.inv(kept.T @ kept + np.diag(known)), A).reshape(-1, per)
+        doubt = ((A @ covariance_root(kept, known).T) ** 2).sum(axis=1).reshape(-1, per)
         E = E / np.sqrt(1.0 + doubt * ~self.kept[:, None])
         far = np.zeros(len(E), dtype=bool)
         for part in (E[:, :3], E[:, 3:]) if per > 3 else (E,):
@@ -229,7 +229,8 @@ class ArmFit:
         known = np.append(np.ones(int(used[:P].sum())), np.full(len(self.z), 1e-6))
         C = np.zeros((P, P))
         at = np.flatnonzero(used[:P])
-        C[np.ix_(at, at)] = np.linalg.inv(A.T @ A + np.diag(known))[: len(at), : len(at)]
+        W = covariance_root(A, known)[:, : len(at)]
+        C[np.ix_(at, at)] = W.T @ W
         return C * np.outer(self.scales, self.scales)
 
     def held_out(self) -> np.ndarray | None:
@@ -250,6 +251,12 @@ class ArmFit:
             E = self.errors(x, z)[out][:, :3]
             found[out] = np.linalg.norm(E, axis=1)
         return found
+
+
+def covariance_root(A: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return W (P, P) with W' W the inverse of A' A + diag(known): no variance is negative, however wide the prior is."""
+    _, s, V = np.linalg.svd(np.vstack([A, np.diag(np.sqrt(known))]), full_matrices=False)
+    return V / s[:, None]
 
 
 def untold_directions(A: np.ndarray) -> np.ndarray:

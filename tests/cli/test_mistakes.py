@@ -218,6 +218,30 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, wo
 
 
 @pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        ("solve planar_2r --xyz 1 1 0 --view", "trimesh"),
+        ("track planar_2r --path line --view", "trimesh"),
+        ("workspace planar_2r --html x.html", "trimesh"),
+        ("reach planar_2r --html x.htm", "trimesh"),
+        ("reach planar_2r --plot x.png", "matplotlib"),
+    ],
+)
+def test_what_draws_is_missed_before_the_work(run, words, package, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    code, out, err = run(*words.split())
+    assert code == 3 and not out and err.startswith(f"ik: {package} is not installed; run: pip install ")
+
+
+def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work(refused, monkeypatch):
+    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert "is written as .html or .htm" in refused("calibrate", "planar_2r", "--data", "x.csv", "--html", "x.txt")
+
+
+@pytest.mark.parametrize(
     ("words", "says"),
     [
         ("path hydrolek_7w --poses x.csv --rate 100", "--rate has no effect without --retime"),

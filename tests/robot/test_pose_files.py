@@ -179,6 +179,38 @@ NAMES = ["=1+1", "+a", "-a", "@sum", "\tx", "\rx", "'=1", "''+a", "'", "'a", "a=
 NUMBERS = ["-0.5", "+1", "-inf", "1e-3", "-1e300"]
 
 
+@pytest.mark.parametrize(
+    ("arrays", "tips"),
+    [
+        ({"xyz": np.zeros((2, 3)), "quat": np.zeros((2, 4))}, ()),
+        ({"xyz": np.zeros((2, 3)), "rpy": np.zeros((2, 3))}, ()),
+        ({"targets": np.zeros((2, 3)), "quat_xyzw": np.zeros((2, 4))}, ()),
+        ({"a": np.zeros((2, 3)), "a.quat_xyzw": np.zeros((2, 4))}, ("a", "b")),
+        ({"targets": np.zeros((2, 2, 3)), "rotations": np.zeros((2, 2, 3, 3))}, ("left", "right")),
+    ],
+)
+def test_arrays_of_rotations_that_would_not_be_read_are_refused(arrays, tips, tmp_path):
+    np.savez(tmp_path / "poses.npz", **arrays)
+    (tmp_path / "poses.json").write_text(json.dumps({name: array.tolist() for name, array in arrays.items()}))
+    for name in ("poses.npz", "poses.json"):
+        with pytest.raises(InvalidTarget, match=f"{list(arrays)[1]}(\\.| would not be read)"):
+            read_poses(tmp_path / name, "targets", tips=tips)
+
+
+def test_errors_of_orientation_beside_positions_are_no_rotations(tmp_path):
+    np.savez(tmp_path / "run.npz", t=[0.0, 1.0], xyz=np.eye(3)[:2], orientation_error=np.zeros(2))
+    assert next(read_poses(tmp_path / "run.npz", "reference", times=True)[1]).poses.shape == (2, 3)
+
+
+def test_whole_numbers_are_millimetres_as_well(tmp_path):
+    np.savez(tmp_path / "poses.npz", targets=np.array([[1000, 100, 200]]))
+    (read,) = read_poses(tmp_path / "poses.npz", "targets", given=Convention("mm"))[1]
+    np.testing.assert_allclose(read.poses, [[1.0, 0.1, 0.2]], rtol=1e-15)
+    np.savez(tmp_path / "tips.npz", a=np.array([[1000, 100, 200]]))
+    (read,) = read_poses(tmp_path / "tips.npz", "targets", given=Convention("mm"), tips=("a", "b"))[1]
+    np.testing.assert_allclose(read.poses["a"], [[1.0, 0.1, 0.2]], rtol=1e-15)
+
+
 def test_names_run_nothing_and_are_read_back():
     for name in NAMES:
         assert inert(name)[:1] not in ("=", "+", "-", "@", "\t", "\r") and without_mark(inert(name)) == name, name

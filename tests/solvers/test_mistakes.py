@@ -137,6 +137,7 @@ def test_closest_and_a_start(arm):
         (dict(check="all"), "check must be the fraction"),
         (dict(executor=ThreadPoolExecutor(1), threads=2), "an executor has its own workers; omit threads="),
         (dict(executor=3), "executor must be a pool with a submit method"),
+        (dict(executor=ThreadPoolExecutor), "executor must be a pool with a submit method"),
     ],
 )
 def test_options_of_a_batch(arm, options, said):

@@ -287,6 +287,13 @@ def test_suggested_poses_tell_more(arm):
         ik.suggest_poses(arm, 3, avoid_collisions="yes")
 
 
+def test_intervals_are_numbers_however_wide_the_prior_is(arm):
+    q = arm.random_q(np.random.default_rng(0), 40)
+    measured = [arm.fk(row).translation for row in q] + np.random.default_rng(1).normal(0.0, 2e-4, (40, 3))
+    found = ik.calibrate(arm, q, measured, prior=(10.0, 0.035), noise=1e-6)
+    assert all(half > 0.0 for _, half in found.errors.values())
+
+
 def test_too_little_data_are_said(arm, good):
     """A wrist that never moved: its errors are assumed, and other poses could tell them."""
     truth, Q = good[1], drawn(arm, 35, 30)

@@ -172,7 +172,7 @@ def on_threads(plan: Plan, parts: Iterator[Part], share: float, threads: int) ->
 
 def check_executor(executor: Any) -> None:
     """Raise InvalidOption unless it is None or has a method `submit` like the executors of concurrent.futures."""
-    if executor is not None and not hasattr(executor, "submit"):
+    if executor is not None and (not hasattr(executor, "submit") or isinstance(executor, type)):
         raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
 
 
