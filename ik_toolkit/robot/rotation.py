@@ -93,13 +93,10 @@ def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
 def rotation_columns(names: Sequence[str]) -> list[str]:
     """Return those of the lower-case column names that other programs use for rotations, such as "euler_x" or "alpha"."""
     parts = ("roll", "pitch", "yaw", "rot", "rpy", "quat", "euler", "orient")
-    groups = (
-        "w p r, u v w, alpha beta gamma, phi theta psi, q0 q1 q2 q3, q1 q2 q3 q4, i j k w, qx qy qz qw, rx ry rz".split(
-            ", "
-        )
-    )
+    lines = "w p r, u v w, rx ry rz, alpha beta gamma, phi theta psi, qx qy qz qw, q0 q1 q2 q3, q1 q2 q3 q4, i j k w"
+    groups = [line.split() for line in lines.split(", ")]
     found = [name for name in names if any(part in name for part in parts)]
-    return found + next((group.split() for group in groups if {*group.split()} <= {*names}), [])
+    return found + next((group for group in groups if {*group} <= {*names}), [])
 
 
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
