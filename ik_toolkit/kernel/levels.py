@@ -21,7 +21,7 @@ from .limits import hold
 from .linalg import cholesky, cholesky_solve, eigen, reflect_row, triangle
 from .records import Array, copy
 from .search import AT_MINIMUM
-from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
+from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column, largest
 
 
 class LevelSteps(NamedTuple):
@@ -176,7 +176,7 @@ def onto_constraint(s, level, base, k, value, bench):
         The number of vectors in the basis.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
-    r, most = 0, 0.0
+    r = 0
     for h in range(s.J.shape[1]):
         if level[h // 3] < base:
             for i in range(k):
@@ -192,8 +192,8 @@ def onto_constraint(s, level, base, k, value, bench):
     cholesky_solve(A, r, b)
     rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
     for i in range(k):
-        s.dq[int(free[i])] = move = dot_with_column(b, B, i, r)
-        most = max(most, abs(move))
+        s.dq[int(free[i])] = dot_with_column(b, B, i, r)
+    most = largest(s.dq)
     if most > QUADRATIC.longest_along:
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most

@@ -93,12 +93,12 @@ def read_layer(values, endless, state, counts, costs, order, near, keys):
 
 @cached_small
 def link_layers(
-    Q, state, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents, prior
+    Q, state, prior, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
     Q (N, K, n): configurations of the tracks [internal units]
-    state (N, K): DEAD, UNTESTED, FREE or TOUCHING
+    state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
         `most`, then cost of a reconfiguration
@@ -107,19 +107,14 @@ def link_layers(
     axis: index of the joint by whose value the states of a pose are sorted, so that states near a given one are found fast
     order (N, K): indices of the tracks in that order
 
-    The results are written to four arrays. counts (N, K): number of reconfigurations on the best path to each state, where a pose
-    in contact counts as CONTACT of them. costs (N, K): cost of that path. parents (N, K): the state before it, see NONE. prior
-    (N,): the last earlier pose that has states, or -1.
+    The results are written to three arrays. counts (N, K): number of reconfigurations on the best path to each state, where a pose
+    in contact counts as CONTACT of them. costs (N, K): cost of that path. parents (N, K): the state before it, see NONE.
     """
     N, K, _ = Q.shape
     keys, near = np.empty(K), np.empty(K, np.int64)
     reach, round = most[axis], endless[axis]
-    last = -1
-    for t in range(first):
-        if np.any(state[t] != DEAD):
-            last = t
     for t in range(first, N):
-        prior[t], size, best = last, 0, -1
+        last, size, best = prior[t], 0, -1
         if last >= 0:
             values = Q[last, :, axis]
             size, best = read_layer(values, round, state[last], counts[last], costs[last], order[last], near, keys)
@@ -151,8 +146,6 @@ def link_layers(
                         count, cost, parent = counts[last, a], c, a
             counts[t, b] = count + (CONTACT if state[t, b] == TOUCHING else 0)
             costs[t, b], parents[t, b] = cost + toll[t, b], parent
-        if np.any(state[t] != DEAD):
-            last = t
 
 
 def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
@@ -161,6 +154,12 @@ def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
     if endless > 0.0:
         keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
     return np.argsort(keys, axis=1, kind="stable").astype(np.int32)
+
+
+def layers_before(state: np.ndarray) -> np.ndarray:
+    """Return for each pose the last earlier one that has states, or -1 (N,); state (N, K) as for `link_layers`."""
+    last = np.where((state != DEAD).any(axis=1), np.arange(len(state)), -1)
+    return np.append(-1, np.maximum.accumulate(last)[:-1])
 
 
 LONG = 1e3  # cost [internal units] of a step longer than allowed, more than the length of any path
@@ -196,7 +195,7 @@ class Program:
         self.toll = np.zeros((N, K), np.float32)
         self.blocked: set[tuple[int, int, int]] = set()
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
-        self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
+        self.parents = np.full((N, K), NONE, np.int16)
         self.changed = 0  # index of the first layer (pose) whose results are out of date
         self.axis = self._telling()
         self.order = sorted_tracks(Q[:, :, self.axis], self.endless[self.axis])
@@ -215,9 +214,10 @@ class Program:
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
+        self.prior = layers_before(self.state)
         link_layers(
-            self.Q, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
-            self.order, self.changed, self.counts, self.costs, self.parents, self.prior,
+            self.Q, self.state, self.prior, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
+            self.order, self.changed, self.counts, self.costs, self.parents,
         )  # fmt: skip
         self.changed = len(self.Q)
 

@@ -16,6 +16,7 @@ from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import VERDICT
 from ..kernel.records import AT, SIZE, copy
+from ..kernel.vectors import largest
 from .closed_form.elimination import STEPS, N, forms_of, solutions_of
 from .closed_form.geometry import into_limits
 from .closed_form.nearest import choose
@@ -134,9 +135,7 @@ def _sort_out(Q, excess, gain, start, terms, legal):
     """
     kept, far, told, least = 0, True, True, np.inf
     for k in range(Q.shape[0]):
-        worst = 0.0
-        for i in range(N):
-            worst = max(worst, excess[k, i])
+        worst = largest(excess[k])
         broken = worst * gain[k] >= terms[1]
         far, told = far and broken, told and (broken or worst == 0.0)
         if worst == 0.0:

@@ -58,8 +58,7 @@ def contents(text: str) -> dict[str, Any]:
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
     lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
-    passive: list[str] = []
-    virtual: list[str] = []
+    joints: dict[str, list[str]] = {"passive_joint": [], "virtual_joint": []}
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
@@ -79,10 +78,8 @@ def contents(text: str) -> dict[str, Any]:
             case "end_effector":
                 links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
                 ends[item.name] = EndEffector(item.name, *links)
-            case "passive_joint":
-                passive.append(item.name)
-            case "virtual_joint":
-                virtual.append(item.name)
+            case "passive_joint" | "virtual_joint":
+                joints[item.tag].append(item.name)
             case "disable_collisions" if given["link1"] != given["link2"]:
                 disabled[given["link1"], given["link2"]] = given.get("reason", "")
             case "enable_collisions":
@@ -103,8 +100,8 @@ def contents(text: str) -> dict[str, Any]:
         "groups": groups,
         "end_effectors": ends,
         "states": {state: by_group for state, by_group in states.items() if by_group},
-        "passive_joints": tuple(dict.fromkeys(passive)),
-        "virtual_joints": tuple(virtual),
+        "passive_joints": tuple(dict.fromkeys(joints["passive_joint"])),
+        "virtual_joints": tuple(joints["virtual_joint"]),
         "disabled": disabled,
         "quiet": tuple(quiet),
         "enabled": tuple(enabled),
