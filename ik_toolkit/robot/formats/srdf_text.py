@@ -86,11 +86,11 @@ def contents(text: str) -> dict[str, Any]:
                 enabled.append((given["link1"], given["link2"]))
             case "disable_default_collisions":
                 quiet.append(given["link"])
-    remarks = []
-    for group in groups.values():
-        unknown = [inner for inner in group.groups if inner not in groups]
-        if unknown:
-            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
+    remarks = [
+        f"group '{group.name}' contains the group '{unknown[0]}', which does not exist"
+        for group in groups.values()
+        if (unknown := [inner for inner in group.groups if inner not in groups])
+    ]
     for (state, group), why in lost.items():
         whose = f" of group '{group}'" if group else ""
         remarks.append(f"configuration '{state}'{whose} is left out: {why}")
