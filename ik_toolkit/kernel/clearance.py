@@ -7,6 +7,7 @@ import numpy as np
 
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
+from .vectors import dot, largest
 
 # To prove that a piece of a motion is free of contact, it is halved as often as needed. If a part smaller than this share of a
 # piece would be needed, the proof stops there, and the caller measures the distances again.
@@ -186,27 +187,23 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
     K, n = ks.shape[0], A.shape[1]
     all_rows, bounds, room = np.zeros((K, n)), np.empty(K), np.empty(K)
     for r in range(K):
-        first, second = at3(points[r, 0], 0), at3(points[r, 1], 0)
+        row, first, second = all_rows[r], at3(points[r, 0], 0), at3(points[r, 1], 0)
         normal = second - first
         normal = normal * (1.0 / max(math.sqrt(normal.square()), 1e-300))
         for e in range(V.shape[0]):
             if by_a[ks[r], e]:
-                all_rows[r, coordinates[e]] += normal.dot(speed_at(V, e, first))
+                row[coordinates[e]] += normal.dot(speed_at(V, e, first))
             elif by_b[ks[r], e]:
-                all_rows[r, coordinates[e]] -= normal.dot(speed_at(V, e, second))
-        largest, closing = 0.0, 0.0
+                row[coordinates[e]] -= normal.dot(speed_at(V, e, second))
+        most, weakest = largest(row), np.inf
         for j in range(n):
-            largest = max(largest, abs(all_rows[r, j]))
-            closing += all_rows[r, j] * rate[j]
-        weakest = np.inf
-        for j in range(n):
-            size = abs(all_rows[r, j])
-            if size > share * largest:
+            size = abs(row[j])
+            if size > share * most:
                 weakest = min(weakest, size * deceleration[j])
         bounds[r] = gap[r] * min(slope, 0.5 / step)
         if gap[r] > 0.0:
             bounds[r] = min(bounds[r], math.sqrt(2.0 * weakest * gap[r]))
-        room[r] = bounds[r] - closing if largest > flat else np.inf
+        room[r] = bounds[r] - dot(row, rate, n) if most > flat else np.inf
     count = 0
     while count < A.shape[0]:
         best = -1

@@ -21,7 +21,7 @@ from .limits import hold
 from .linalg import cholesky, cholesky_solve, eigen, reflect_row, triangle
 from .records import Array, copy
 from .search import AT_MINIMUM
-from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column
+from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column, largest
 
 
 class LevelSteps(NamedTuple):
@@ -176,7 +176,7 @@ def onto_constraint(s, level, base, k, value, bench):
         The number of vectors in the basis.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
-    r, most = 0, 0.0
+    r = 0
     for h in range(s.J.shape[1]):
         if level[h // 3] < base:
             for i in range(k):
@@ -192,8 +192,8 @@ def onto_constraint(s, level, base, k, value, bench):
     cholesky_solve(A, r, b)
     rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
     for i in range(k):
-        s.dq[int(free[i])] = move = dot_with_column(b, B, i, r)
-        most = max(most, abs(move))
+        s.dq[int(free[i])] = dot_with_column(b, B, i, r)
+    most = largest(s.dq)
     if most > QUADRATIC.longest_along:
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most
@@ -254,18 +254,13 @@ def down_level(s, k, last, bench, box):
                 A[i, left] = direction
         left += passed
     for i in range(n):
-        for z in range(left):
-            Z[i, z] = A[i, z]
+        copy(A[i], Z[i])
     share = min(1.0, QUADRATIC.longest_across / math.sqrt(size)) if size > 0.0 else 1.0
     for i in range(n):
-        if box.turns(i) <= 0.0:
-            x, d = s.q[i] + s.dq[i], dz[i]
-            if d < 0.0 and s.q[i] > box.lower(i) and x + share * d < box.lower(i):
-                share = max((box.lower(i) - x) / d, 0.0)
-            elif d > 0.0 and s.q[i] < box.upper(i) and x + share * d > box.upper(i):
-                share = max((box.upper(i) - x) / d, 0.0)
-    for i in range(n):
-        s.dq[i] += share * dz[i]
+        x, d, end = s.q[i] + s.dq[i], dz[i], box.lower(i) if dz[i] < 0.0 else box.upper(i)
+        if box.turns(i) <= 0.0 and (end - s.q[i]) * d > 0.0 and (x + share * d - end) * d > 0.0:
+            share = max((end - x) / d, 0.0)
+    add_multiple(s.dq, share, dz, n)
     return left, steep
 
 
@@ -332,6 +327,18 @@ def wrongly_held(s, size, bench, box):
     return worst
 
 
+@inline
+def free_joints(s, bench):
+    """List the joints of s (Desk) that are not held in bench.free, with their unit vectors in bench.basis; return their number."""
+    k = 0
+    for i in range(s.w.shape[0]):
+        clear(bench.basis[i])
+        if s.w[i] > 0.0:
+            bench.free[k], bench.basis[i, k] = i, 1.0
+            k += 1
+    return k
+
+
 @inner
 def step_by_levels(p, e, level, far):
     """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
@@ -347,7 +354,7 @@ def step_by_levels(p, e, level, far):
         far: Whether level 0 is minimised, because it is out of reach.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
-    n, top, value = s.q.shape[0], 0.0, 0.0
+    n, top, value, released = s.q.shape[0], 0.0, 0.0, 0
     # Level 0 and all levels that are met, which `level_search.rank_errors` tells, are the constraint: those below `base`.
     base = 0.0 if far else max(1.0, -float(math.floor(e.ee)))
     for g in range(level.shape[0]):
@@ -355,17 +362,11 @@ def step_by_levels(p, e, level, far):
         value += p.group(e, g) if level[g] < base else 0.0
     p.stack(e)
     copy(s.w, bench.asked)
-    released = 0
     for _ in range(3 * n + 2):
-        k = 0
         clear(s.dq)
-        for i in range(n):
-            clear(bench.basis[i])
-            if s.w[i] > 0.0:
-                bench.free[k], bench.basis[i, k] = i, 1.0
-                k += 1
-        steep, count, inward = 0.0, k, -1
         clear(bench.multiplier)
+        k = count = free_joints(s, bench)
+        steep, inward = 0.0, -1
         if not far:
             k = onto_constraint(s, level, base, k, value, bench)
             # The step that would lower errors inside the tolerance further must not push the released joints back out.
@@ -388,12 +389,12 @@ def step_by_levels(p, e, level, far):
                 inverse_multipliers(s, level, count, bench)
         if hold(s.q, s.dq, s.w, box):
             continue
-        if (e.ee < 0.0 or far) and steep <= QUADRATIC.first_order * QUADRATIC.first_order:
-            if inward < 0:
-                return AT_MINIMUM
-            if released < n:
-                released += 1
-                s.w[inward] = bench.asked[inward]
-                continue
-        break
+        if not ((e.ee < 0.0 or far) and steep <= QUADRATIC.first_order * QUADRATIC.first_order):
+            return 0
+        if inward < 0:
+            return AT_MINIMUM
+        if released == n:
+            return 0
+        released += 1
+        s.w[inward] = bench.asked[inward]
     return 0

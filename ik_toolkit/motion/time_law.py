@@ -8,7 +8,7 @@ finds the largest z that can be reached from the start (Pham and Pham, 2018).
 
 import numpy as np
 
-from ..compile.jit import cached
+from ..compile.jit import cached, inline
 
 # Half width [samples] of a moving average over s, ds/dt and d2s/dt2, which avoids errors of the tip where d2s/dt2 jumps.
 ROUNDED = 2
@@ -104,6 +104,21 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     return np.where(side > 0, (total[k + side + 1] - total[k - side]) / (2 * side + 1), values)
 
 
+@inline
+def highest(low, high, slant, names, count, top, by):
+    """Return the largest z up to `top` for which some u keeps low - slant z <= u <= high - slant z in `count` rows, and its joint.
+
+    names (count,): joint that sets the bounds of each row, or -1; by: the joint that limits z to `top`, or -1.
+    """
+    for j in range(count):
+        for m in range(count):
+            both = slant[m] - slant[j]
+            if both * top > high[m] - low[j]:
+                top = max((high[m] - low[j]) / both, 0.0)
+                by = names[m] if names[m] >= 0 else names[j]
+    return top, by
+
+
 @cached
 def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     """Lower z = (ds/dt)^2 (N + 1,) in place until all joints keep their acceleration limits (one backward and one forward pass).
@@ -115,16 +130,14 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     its lower bounds with each of its upper bounds.
     """
     n, last = slope.shape[1], steps.shape[0]
-    low, low_z, low_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
-    high, high_z, high_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
+    low, high, slant = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2)
+    limiting = np.empty(2 * n + 2, np.int64)
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
-        # The bounds on u = d2s/dt2 have the form low - low_z z <= u <= high - high_z z. The first pair keeps z + 2 h u, the z at
+        # The bounds on u = d2s/dt2 have the form low - slant z <= u <= high - slant z. The first pair keeps z + 2 h u, the z at
         # the end of the interval, between 0 and z[k + 1]. The second pair keeps |u| <= gain.
-        low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
-        high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
-        low[1], low_z[1], low_by[1] = -gain, 0.0, -1
-        high[1], high_z[1], high_by[1] = gain, 0.0, -1
+        low[0], high[0], slant[0], limiting[0] = 0.0, 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
+        low[1], high[1], slant[1], limiting[1] = -gain, gain, 0.0, -1
         count = 2
         for i in range(n):
             for at in range(2):
@@ -135,15 +148,10 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
                     if abs(b) * top > acceleration[i]:
                         top, by = acceleration[i] / abs(b), names[i]
                     continue
-                low[count], low_z[count], low_by[count] = -acceleration[i] / abs(g), b / g, names[i]
-                high[count], high_z[count], high_by[count] = acceleration[i] / abs(g), b / g, names[i]
+                low[count], high[count] = -acceleration[i] / abs(g), acceleration[i] / abs(g)
+                slant[count], limiting[count] = b / g, names[i]
                 count += 1
-        for j in range(count):
-            for m in range(count):
-                both = high_z[m] - low_z[j]
-                if both * top > high[m] - low[j]:
-                    top = max((high[m] - low[j]) / both, 0.0)
-                    by = high_by[m] if high_by[m] >= 0 else low_by[j]
+        top, by = highest(low, high, slant, limiting, count, top, by)
         if top < z[k]:
             z[k], joint[k] = top, by
     for k in range(last):

@@ -31,33 +31,34 @@ def shortest_difference(d, endless):
 
 
 @inner
-def step(Q, t, a, u, b, most, endless, price, near, enough):
+def step(Q, t, a, u, b, most, endless, price, longer, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
-    Q (N, K, n): configurations of the tracks; endless (n,): 1 if a joint's values count modulo 2 pi; price (3, n): see
-    `link_layers`. If a joint moves further than `most` (n,), the cost is infinite if near > 0; if near is 0, price[2, 0] is added
-    once.
+    Q (N, K, n): configurations of the tracks; most (n,), endless (n,), price (3, n): see `link_layers`; longer: cost added once if
+    a joint moves further than `most`.
     """
-    total, over = 0.0, 0.0
+    total, extra = 0.0, 0.0
     for i in range(most.shape[0]):
         d = abs(shortest_difference(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
-        if d > most[i]:
-            if near > 0:
-                return np.inf
-            over = 1.0
         total += price[0, i] * d + price[1, i] * d * d
-        if total >= enough:
+        if d > most[i]:
+            extra = longer
+        if total + extra >= enough:
             return np.inf
-    return total + over * price[2, 0]
+    return total + extra
 
 
 @inner
-def barred(blocked, low, high, a, b):
-    """Return whether the step from track a to track b is excluded: whether a row of blocked[low:high] is (pose, a, b)."""
-    for k in range(low, high):
-        if blocked[k, 1] == a and blocked[k, 2] == b:
-            return True
-    return False
+def barred(blocked, t, a, b):
+    """Return whether (t, a, b) is one of the sorted rows of blocked (B, 3), by binary search."""
+    low, high = 0, blocked.shape[0]
+    while low < high:
+        m = (low + high) // 2
+        if (blocked[m, 0], blocked[m, 1], blocked[m, 2]) < (t, a, b):
+            low = m + 1
+        else:
+            high = m
+    return low < blocked.shape[0] and (blocked[low, 0], blocked[low, 1], blocked[low, 2]) == (t, a, b)
 
 
 @inner
@@ -73,14 +74,31 @@ def window(keys, size, low):
     return a
 
 
+@inner
+def read_layer(values, endless, state, counts, costs, order, near, keys):
+    """Write the states of one pose to `near`, and to `keys` their values of the joint that sorts them, in ascending order.
+
+    All arrays are (K,) and hold this pose's part of those of `link_layers`; values: of that joint; endless: whether they count
+    modulo 2 pi. Returns the number of states and the one on which the best path to this pose ends (-1: none).
+    """
+    size, best = 0, -1
+    for a in order:
+        if state[a] != DEAD:
+            near[size], keys[size] = a, shortest_difference(float(values[a]), endless)
+            size += 1
+            if best < 0 or (counts[a], costs[a], a) < (counts[best], costs[best], best):
+                best = a
+    return size, best
+
+
 @cached_small
 def link_layers(
-    Q, span, state, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents, prior
+    Q, state, prior, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
-    Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]
-    state (N, K): DEAD, UNTESTED, FREE or TOUCHING
+    Q (N, K, n): configurations of the tracks [internal units]
+    state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
         `most`, then cost of a reconfiguration
@@ -89,83 +107,45 @@ def link_layers(
     axis: index of the joint by whose value the states of a pose are sorted, so that states near a given one are found fast
     order (N, K): indices of the tracks in that order
 
-    The results are written to four arrays. counts (N, K): number of reconfigurations on the best path to each state, where a pose
-    in contact counts as CONTACT of them. costs (N, K): cost of that path. parents (N, K): the state before it, see NONE. prior
-    (N,): the last earlier pose that has states, or -1.
+    The results are written to three arrays. counts (N, K): number of reconfigurations on the best path to each state, where a pose
+    in contact counts as CONTACT of them. costs (N, K): cost of that path. parents (N, K): the state before it, see NONE.
     """
     N, K, _ = Q.shape
     keys, near = np.empty(K), np.empty(K, np.int64)
     reach, round = most[axis], endless[axis]
-    last = -1
-    for t in range(first):
-        for k in range(K):
-            if state[t, k] != DEAD:
-                last = t
-                break
-    bar = 0
     for t in range(first, N):
-        while bar < blocked.shape[0] and blocked[bar, 0] < t:
-            bar += 1
-        stop = bar
-        while stop < blocked.shape[0] and blocked[stop, 0] == t:
-            stop += 1
-        prior[t] = last
-        size, best = 0, -1
+        last, size, best = prior[t], 0, -1
         if last >= 0:
-            for j in range(K):
-                a = order[last, j]
-                if parents[last, a] == NONE and prior[last] >= 0:
-                    continue
-                if state[last, a] == DEAD:
-                    continue
-                near[size] = a
-                keys[size] = shortest_difference(float(Q[last, a, axis]), round)
-                size += 1
-                if (
-                    best < 0
-                    or counts[last, a] < counts[last, best]
-                    or (counts[last, a] == counts[last, best] and costs[last, a] < costs[last, best])
-                    or (counts[last, a] == counts[last, best] and costs[last, a] == costs[last, best] and a < best)
-                ):
-                    best = a
-        some = False
+            values = Q[last, :, axis]
+            size, best = read_layer(values, round, state[last], counts[last], costs[last], order[last], near, keys)
         for b in range(K):
             parents[t, b] = NONE
             if state[t, b] == DEAD:
                 continue
-            some = True
-            if last < 0:
-                counts[t, b], costs[t, b] = int(begin[0, b]), begin[1, b]
-            else:
+            count, cost, parent = int(begin[0, b]), begin[1, b], NONE
+            if last >= 0:
                 count, cost, parent = counts[last, best] + 1, costs[last, best] + price[2, 1], -2 - best
-                if last == t - 1:
-                    if state[last, b] != DEAD and span[b, 0] < t <= span[b, 1] and counts[last, b] <= count:
-                        c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, 0, np.inf)
-                        if counts[last, b] < count or c < cost:
-                            if not barred(blocked, bar, stop, b, b):
-                                count, cost, parent = counts[last, b], c, b
-                    at = shortest_difference(float(Q[t, b, axis]), round)
-                    low = window(keys, size, shortest_difference(at - reach, round))
-                    for j in range(low, size if round == 0.0 else low + size):
-                        # the sorted values of an endless joint are searched cyclically, modulo 2 pi
-                        j -= size if j >= size else 0
-                        if shortest_difference(keys[j] - at, round) > reach:
-                            break
-                        a = near[j]
-                        if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
-                            continue
-                        enough = np.inf if counts[last, a] < count else cost - costs[last, a]
-                        c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, 1, enough)
-                        if c < np.inf and (counts[last, a] < count or c < cost):
-                            if not barred(blocked, bar, stop, a, b):
-                                count, cost, parent = counts[last, a], c, a
-                counts[t, b], costs[t, b], parents[t, b] = count, cost, parent
-            costs[t, b] += toll[t, b]
-            if state[t, b] == TOUCHING:
-                counts[t, b] += CONTACT
-        if some:
-            last = t
-        bar = stop
+            if 0 <= last == t - 1:
+                if state[last, b] != DEAD and counts[last, b] <= count:
+                    c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, price[2, 0], np.inf)
+                    if (counts[last, b], c) < (count, cost) and not barred(blocked, t, b, b):
+                        count, cost, parent = counts[last, b], c, b
+                at = shortest_difference(float(Q[t, b, axis]), round)
+                low = window(keys, size, shortest_difference(at - reach, round))
+                for j in range(low, size if round == 0.0 else low + size):
+                    # the sorted values of an endless joint are searched cyclically, modulo 2 pi
+                    j -= size if j >= size else 0
+                    if shortest_difference(keys[j] - at, round) > reach:
+                        break
+                    a = near[j]
+                    if a == b or (counts[last, a], costs[last, a]) >= (count, cost):
+                        continue
+                    enough = np.inf if counts[last, a] < count else cost - costs[last, a]
+                    c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, np.inf, enough)
+                    if c < np.inf and (counts[last, a], c) < (count, cost) and not barred(blocked, t, a, b):
+                        count, cost, parent = counts[last, a], c, a
+            counts[t, b] = count + (CONTACT if state[t, b] == TOUCHING else 0)
+            costs[t, b], parents[t, b] = cost + toll[t, b], parent
 
 
 def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
@@ -174,6 +154,12 @@ def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
     if endless > 0.0:
         keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
     return np.argsort(keys, axis=1, kind="stable").astype(np.int32)
+
+
+def layers_before(state: np.ndarray) -> np.ndarray:
+    """Return for each pose the last earlier one that has states, or -1 (N,); state (N, K) as for `link_layers`."""
+    last = np.where((state != DEAD).any(axis=1), np.arange(len(state)), -1)
+    return np.append(-1, np.maximum.accumulate(last)[:-1])
 
 
 LONG = 1e3  # cost [internal units] of a step longer than allowed, more than the length of any path
@@ -209,7 +195,7 @@ class Program:
         self.toll = np.zeros((N, K), np.float32)
         self.blocked: set[tuple[int, int, int]] = set()
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
-        self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
+        self.parents = np.full((N, K), NONE, np.int16)
         self.changed = 0  # index of the first layer (pose) whose results are out of date
         self.axis = self._telling()
         self.order = sorted_tracks(Q[:, :, self.axis], self.endless[self.axis])
@@ -228,9 +214,10 @@ class Program:
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
+        self.prior = layers_before(self.state)
         link_layers(
-            self.Q, self.span, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
-            self.order, self.changed, self.counts, self.costs, self.parents, self.prior,
+            self.Q, self.state, self.prior, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
+            self.order, self.changed, self.counts, self.costs, self.parents,
         )  # fmt: skip
         self.changed = len(self.Q)
 

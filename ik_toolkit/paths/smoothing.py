@@ -19,6 +19,7 @@ from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.dispatch import problem_on
 from ..kernel.null_space import OBJECTIVE, make_bounds, onto_target
 from ..kernel.records import SIZE, Ends, Orders, copy, read
+from ..kernel.vectors import largest
 
 # Weight of squared task errors against squared joint differences; a step reduces an error of 1e-2 rad to 1e-9 rad.
 TASK_WEIGHT = 1e7
@@ -254,12 +255,10 @@ def smooth_on_views(rows, ends, path, orders, price, longest, steps, block):
             differences(now, price, H, g)
             linearise(p, o, T, now, fixed, H, g)
             newton_step(H, g, now, fixed, weights, box, held, A, x)
-        largest = 0.0
-        for r in range(size):
-            largest = max(largest, abs(x[r]))
-        if not SHORTEST < largest < np.inf or radius < SHORTEST:
+        far = largest(x)
+        if not SHORTEST < far < np.inf or radius < SHORTEST:
             break
-        factor = min(1.0, radius / largest)
+        factor = min(1.0, radius / far)
         fresh = False
         if moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
             value, worst = cost_of(trial, price, step)
@@ -267,11 +266,10 @@ def smooth_on_views(rows, ends, path, orders, price, longest, steps, block):
                 ended = value > (1.0 - GAIN) * cost and factor >= 1.0
                 cost, wide, fresh = value, worst, True
                 taken += 1
-                for k in range(N):
-                    copy(trial[k], now[k])
+                copy(flat(trial), flat(now))
                 if ended:
                     break
-        radius = min(GROW * radius, most) if fresh else SHRINK * min(radius, largest)
+        radius = min(GROW * radius, most) if fresh else SHRINK * min(radius, far)
     for k in range(N):
         for i in range(n):
             Q[k, i] = now[k, i] * full.unit(i)

@@ -114,12 +114,22 @@ def slot(p, k):
 
 
 @inline
-def remove(b, row, j, n):
-    """Gram-Schmidt step on b (`Basis`): subtract from a row of b.W, n entries, its part along basis vector j; note it in b.L."""
-    base = b.W[b.order[j]]
-    s = dot(b.W[row], base, n)
-    add_multiple(b.W[row], -s, base, n)
-    b.L[row, j] += s
+def load(p, k):
+    """Copy row k of p.P (`TwoLevels`), without the held unknowns, to where Gram-Schmidt works on it, with no coefficients yet."""
+    for i in range(p.size):
+        p.b.W[k, i] = p.P[k, i] if is_free(p, i) else 0.0
+    for j in range(p.planes + p.task):
+        p.b.L[k, j] = 0.0
+
+
+@inline
+def remove(b, row, first, end, n):
+    """Subtract from a row of b.W (`Basis`), n entries, its parts along basis vectors first to end - 1, and note them in b.L."""
+    for j in range(first, end):
+        base = b.W[b.order[j]]
+        s = dot(b.W[row], base, n)
+        add_multiple(b.W[row], -s, base, n)
+        b.L[row, j] += s
 
 
 @inline
@@ -132,61 +142,56 @@ def take_in(b, row, q, size, n):
 
 
 @inline
-def row_basis(p, last):
-    """Build an orthonormal basis of the active rows in the free unknowns: first of the inequalities, then of the task rows.
+def basis_of_planes(p, last):
+    """Build an orthonormal basis of the active inequalities of p (`TwoLevels`) in the free unknowns, `last` after all others.
 
-    p: `TwoLevels`; last: inequality that is added after all others, or NONE. Returns the number of basis vectors from inequalities,
-    the number of all basis vectors, and an active inequality that depends linearly on the others, or NONE.
+    Returns the number of basis vectors, and an active inequality that depends linearly on the others, or NONE.
     """
-    b = p.b
-    n, K = p.size, p.planes + p.task
-    for k in range(K):
-        if k >= p.planes or p.active[k] != 0:
-            for i in range(n):
-                b.W[k, i] = p.P[k, i] if is_free(p, i) else 0.0
-            for j in range(K):
-                b.L[k, j] = 0.0
-    q, dependent = 0, NONE
+    b, q, dependent = p.b, 0, NONE
     for place in range(p.planes + 1):
         k = place if place < p.planes else last
         if k < 0 or p.active[k] == 0 or (place < p.planes and k == last):
             continue
-        for _ in range(2):
-            for j in range(q):
-                remove(b, k, j, n)
-        size = math.sqrt(dot(b.W[k], b.W[k], n))
+        load(p, k)
+        remove(b, k, 0, q, p.size)
+        remove(b, k, 0, q, p.size)
+        size = math.sqrt(dot(b.W[k], b.W[k], p.size))
         if size <= SAME:
             dependent = k
-            continue
-        take_in(b, k, q, size, n)
-        q += 1
-    planes, largest = q, 0.0
+        else:
+            take_in(b, k, q, size, p.size)
+            q += 1
+    return q, dependent
+
+
+@inline
+def basis_of_task(p, planes):
+    """Extend the basis of p (`TwoLevels`), which has `planes` vectors so far, by the task rows; return the number of vectors."""
+    b, n, K, largest = p.b, p.size, p.planes + p.task, 0.0
     for k in range(p.planes, K):
+        load(p, k)
         largest = max(largest, p.length[k])
         b.whole[k] = dot(b.W[k], b.W[k], n)
-        for j in range(planes):
-            remove(b, k, j, n)
+        remove(b, k, 0, planes, n)
         b.remain[k] = dot(b.W[k], b.W[k], n)
-    for _ in range(p.task):
+    for q in range(planes, planes + p.task):
         k = p.planes
         for c in range(p.planes + 1, K):
             if b.remain[c] > b.remain[k]:
                 k = c
         if not b.remain[k] > SAME * SAME * largest * largest:
-            break
+            return q
         if b.remain[k] < CLEAR * b.whole[k]:
-            for j in range(q):
-                remove(b, k, j, n)
+            remove(b, k, 0, q, n)
         take_in(b, k, q, math.sqrt(dot(b.W[k], b.W[k], n)), n)
         b.remain[k] = -1.0
         for c in range(p.planes, K):
             if b.remain[c] >= 0.0:
-                remove(b, c, q, n)
+                remove(b, c, q, q + 1, n)
                 b.remain[c] = max(b.remain[c] - b.L[c, q] * b.L[c, q], 0.0)
                 if b.remain[c] < DOUBTFUL * b.whole[c]:
                     b.remain[c] = dot(b.W[c], b.W[c], n)
-        q += 1
-    return planes, q, dependent
+    return planes + p.task
 
 
 @inline
@@ -223,9 +228,10 @@ def equality(p, last):
     for i in range(n):
         side = p.active[p.planes + i]
         p.y[i] = p.floor[i] if side < 0 else p.roof[i] if side > 0 else 0.0
-    planes, q, dependent = row_basis(p, last)
+    planes, dependent = basis_of_planes(p, last)
     if dependent != NONE:
         return dependent
+    q = basis_of_task(p, planes)
     for k in range(K):
         b.rest[k] = p.rhs[k] - dot(p.P[k], p.y, n)
     full = q - planes == p.task
@@ -280,14 +286,13 @@ def least_squares(p, planes, rank):
     planes: number of basis vectors from active inequalities, which come first; rank: number of basis vectors from task rows. The
     scratch U (see `Basis`) receives the QR factors.
     """
-    b = p.b
-    U, K, m = b.U, p.planes + p.task, p.task
-    for k in range(p.planes, K):
-        for h in range(planes):
-            b.rest[k] -= b.L[k, h] * b.along[h]
+    b, m = p.b, p.task
+    U, R, rest, along = b.U, b.U[p.planes + m :], b.rest[p.planes :], b.along[planes:]
+    for k in range(m):
+        rest[k] -= dot(b.L[p.planes + k], b.along, planes)
     for j in range(rank):
         for h in range(rank):
-            U[K + h, j] = 0.0
+            R[h, j] = 0.0
         for k in range(m):
             U[j, k] = b.L[p.planes + k, planes + j]
         whole, left = dot(U[j], U[j], m), 0.0
@@ -295,24 +300,20 @@ def least_squares(p, planes, rank):
             for h in range(j):
                 s = dot(U[h], U[j], m)
                 add_multiple(U[j], -s, U[h], m)
-                U[K + h, j] += s
+                R[h, j] += s
             left = dot(U[j], U[j], m)
             if left >= CLEAR * whole:
                 break
-        size = math.sqrt(left)
-        U[K + j, j] = size
-        s = 0.0
+        R[j, j] = size = math.sqrt(left)
         for k in range(m):
             U[j, k] /= size
-            s += U[j, k] * b.rest[p.planes + k]
-        for k in range(m):
-            b.rest[p.planes + k] -= s * U[j, k]
-        b.along[planes + j] = s
+        along[j] = s = dot(U[j], rest, m)
+        add_multiple(rest, -s, U[j], m)
     for j in range(rank - 1, -1, -1):
-        s = b.along[planes + j]
+        s = along[j]
         for h in range(j + 1, rank):
-            s -= U[K + j, h] * b.along[planes + h]
-        b.along[planes + j] = s / U[K + j, j]
+            s -= R[j, h] * along[h]
+        along[j] = s / R[j, j]
 
 
 @inline

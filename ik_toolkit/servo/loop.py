@@ -272,6 +272,13 @@ def error_squared(weight, e):
 
 
 @inline
+def size_joints(s, speed):
+    """Write the rates by which those of the joints are measured to s.size (n,): their speed limits where they have one."""
+    for i in range(speed.shape[0]):
+        s.size[i], s.even[i] = speed[i] if 0.0 < speed[i] < np.inf else UNLIMITED, 1.0
+
+
+@inline
 def run(step, arm, given, own, samples, out, h, block):
     """Take steps of h [s] until the output is full or the loop must end; return the number of steps.
 
@@ -288,9 +295,7 @@ def run(step, arm, given, own, samples, out, h, block):
     weights, rule = orders[first : first + n], read(step, orders, first + n)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
-    for i in range(n):
-        speed = limits[LIMIT.speed, i]
-        s.size[i], s.even[i] = speed if 0.0 < speed < np.inf else UNLIMITED, 1.0
+    size_joints(s, limits[LIMIT.speed])
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)

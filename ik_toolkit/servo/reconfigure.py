@@ -213,8 +213,7 @@ class Reconfiguration:
         self._quiet -= taken.since
         if stood < taken.since:
             self._quiet = min(self._quiet, SEARCH.pause)
-        error = taken.left
-        if error < REACHED:
+        if taken.left < REACHED:
             self.forget()
             self._pause, self._barred = SEARCH.pause, []
             return
@@ -228,37 +227,41 @@ class Reconfiguration:
                     self._now, self.goal = False, self._best[1] if self._best else None
                 return
             self.forget()
-        code, held = taken.code.tolist(), 0
-        for bits in code:
-            held |= bits
-        if not (held & BIT.position or taken.singular):
+        if not self._stuck(taken, stood):
             return
+        if self._left:
+            self._search(T, q, limits, dt)
+            if not self._left:
+                self._decide(taken, stood)
+            return
+        rests, stands = taken.stand[STAND.rest] >= ARRIVAL.wait, stood >= ARRIVAL.wait
+        due = rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)
+        paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > SEARCH.elsewhere)
+        # With a locked joint there are few postures, and an operator who locks one wants no large moves.
+        if due and not paused and not locked(limits):
+            self.held = np.flatnonzero(taken.code & BIT.position).tolist()
+            self._stands = stands
+            self._begin(q, limits)
+
+    def _stuck(self, taken: Taken, stood: float) -> bool:
+        """Add up what the error costs where position limits or a singular pose hold the arm; return whether it makes no progress.
+
+        stood [s]: how long the target has stood.
+        """
+        held, error = int(np.bitwise_or.reduce(taken.code)), taken.left
+        if not (held & BIT.position or taken.singular):
+            return False
         # A joint at its speed limit is already moving as fast as it can.
         # A joint at its acceleration limit is already moving as fast as it can if the target moves.
         # If the target stands still, a joint at its acceleration limit may only be moving to and fro.
         if held & FAST or (held & BIT.acceleration and stood < ARRIVAL.wait):
             self._stood = 0.0
-            return
-        self._lost += error * dt
-        self._stood += dt
+            return False
+        self._lost += error * taken.dt
+        self._stood += taken.dt
         if error < SEARCH.progress * self._least:
             self._least, self._stood, self._left = error, 0.0, 0
-        if self._stood <= ARRIVAL.wait:
-            return
-        rests = taken.stand[STAND.rest] >= ARRIVAL.wait
-        stands = stood >= ARRIVAL.wait
-        if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
-            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > SEARCH.elsewhere)
-            # With a locked joint there are few postures, and an operator who locks one wants no large moves.
-            if paused or locked(limits):
-                return
-            self.held = [i for i, bits in enumerate(code) if bits & BIT.position]
-            self._stands = stands
-            self._begin(q, limits)
-        elif self._left:
-            self._search(T, q, limits, dt)
-            if not self._left:
-                self._decide(taken, stood)
+        return self._stood > ARRIVAL.wait
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand still.

@@ -15,6 +15,7 @@ from ..kernel.checks import rigid
 from ..kernel.counted_error import KIND
 from ..kernel.kinematics import angle_ratio, rotation_error
 from ..kernel.records import copy
+from ..kernel.vectors import clear
 from ..motion.reference import exp, log
 from ..robot.pose import AxisTarget, as_array
 from ..robot.ros import is_by_name
@@ -159,25 +160,21 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
             return GIVEN.doubtful
     if held:
         copy(flat(T[0]), flat(T[1]))
-        for k in range(V.shape[1]):
-            V[1, k] = A[1, k] = 0.0
+        clear(V[1])
+        clear(A[1])
         return GIVEN.refused
     for f in range(T.shape[1]):
         for r in range(4):
             for c in range(0 if (posed >> f) & 1 else 3, 4):
                 T[slot, f, r, c] = Ts[0, f, r, c]
-    if first and slot == 1:
-        copy(flat(T[1]), flat(T[0]))
     for k in range(V.shape[1]):
         V[slot, k] = Vs[0, k] if twist else 0.0
         A[slot, k] = As[0, k] if acceleration else 0.0
-    if slot == 1 and not twist:
-        for f in range(T.shape[1]):
-            difference(T[0, f], T[1, f], dt, V[1], 6 * f)
-    if first and slot == 1:
-        copy(V[1], V[0])
-        copy(A[1], A[0])
     if slot == 1:
+        if first:
+            replace(T, V, A, 1, 0)
+        for f in range(0 if twist else T.shape[1]):
+            difference(T[0, f], T[1, f], dt, V[1], 6 * f)
         look(T, stand, dt)
     return GIVEN.fine
 

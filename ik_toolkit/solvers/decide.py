@@ -16,6 +16,7 @@ from ..kernel.checks import CODE
 from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import VERDICT
 from ..kernel.records import AT, SIZE, copy
+from ..kernel.vectors import largest
 from .closed_form.elimination import STEPS, N, forms_of, solutions_of
 from .closed_form.geometry import into_limits
 from .closed_form.nearest import choose
@@ -124,14 +125,35 @@ def _take(made, row):
         row[SIZE.answer + i] = made[SIZE.answer + i]
 
 
+@inline
+def _sort_out(Q, excess, gain, start, terms, legal):
+    """Copy the solutions Q (K, n) that keep the limits, or nearly do, to `legal`, and say what the others prove.
+
+    excess (K, n): by how much each solution breaks the limits; gain (K,): see `DecisionMargins`; start (n,); terms: as for
+    `decide_rows`. Returns the number copied, whether all solutions break the limits for certain, whether each of them keeps or
+    breaks them for certain, and the distance from the start to the nearest that keeps them.
+    """
+    kept, far, told, least = 0, True, True, np.inf
+    for k in range(Q.shape[0]):
+        worst = largest(excess[k])
+        broken = worst * gain[k] >= terms[1]
+        far, told = far and broken, told and (broken or worst == 0.0)
+        if worst == 0.0:
+            least = min(least, _apart(Q[k], start))
+        if worst < terms[0]:
+            copy(Q[k], legal[kept])
+            kept += 1
+    return kept, far, told, least
+
+
 @cached
 def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
     """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED or NEAREST.
 
     A target is solved by a solution within the limits, or by one near them that Newton steps move onto them. A target has no
     solution if its list is certified, none of the listed solutions is near a limit or nearly real, and no pose beyond the limits
-    is within the tolerances. Other targets stay undecided and their rows unchanged. Returns whether the whole search is to
-    continue for some target.
+    is within the tolerances. Other targets stay undecided and their rows unchanged. Returns the numbers of the targets for which
+    the whole search is to continue.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -147,28 +169,21 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             nothing.
         out: (M, width) results of the short search.
     """
-    edge, clear, length, same = terms[0], terms[1], terms[2], terms[3]
+    length, same = terms[2], terms[3]
     silent, bounds = np.empty((0, 0)), np.empty((3, N))
-    for i in range(2):
-        copy(box[i], bounds[i])
+    bounds[:2] = box
     for t in range(T.shape[0]):
         row, start = out[t], Q0[t]
         copy(start, bounds[2])
         count, near = int(found[t, 0, 0]), int(found[t, 0, 7])
         certain = found[t, 0, 1] == VERDICT.certain and near >= 0
         Q = found[t, 1 : 1 + count + max(near, 0), :N].copy()
-        excess = np.empty_like(Q)
+        excess, legal = np.empty_like(Q), np.empty((Q.shape[0] + 1, N))
         into_limits(Q.copy(), bounds, Q, excess)
-        legal, kept, far, told, least = np.empty((Q.shape[0] + 1, N)), 0, True, True, np.inf
-        for k in range(Q.shape[0]):
-            worst = excess[k].max()
-            if k >= count or worst < edge:
-                copy(Q[k], legal[kept])
-                kept += 1
-            known = k >= count or worst * found[t, 1 + k, N] >= clear
-            far, told = far and known, told and (known or worst == 0.0)
-            if k < count and worst == 0.0:
-                least = min(least, _apart(Q[k], start))
+        kept, far, told, least = _sort_out(Q[:count], excess, found[t, 1:, N], start, terms, legal)
+        for k in range(count, Q.shape[0]):
+            copy(Q[k], legal[kept])
+            kept += 1
         if row[AT.status] == CODE.converged:
             copy(row[SIZE.answer : SIZE.answer + N], legal[kept])
             kept += 1
@@ -197,11 +212,8 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             if (made[AT.position] / length) ** 2 + made[AT.rotation] ** 2 < now:
                 _take(made, row)
         row[0], row[AT.excess] = CODE.limit_blocked if count > 0 else CODE.unreachable, DECIDED
-    enough, unsure = NEAREST if same > 0.0 else DECIDED, False
-    for t in range(T.shape[0]):
-        excess = out[t, AT.excess]
-        unsure |= excess != enough and (excess != DECIDED or out[t, AT.status] == CODE.converged)
-    return unsure
+    state, enough = out[:, AT.excess], NEAREST if same > 0.0 else DECIDED
+    return np.flatnonzero((state != enough) & ((state != DECIDED) | (out[:, AT.status] == CODE.converged)))
 
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
@@ -259,10 +271,9 @@ class Deciding(Plan):
         """Let the elimination decide on result rows `made` (N, width); where it decides nothing, the whole search continues."""
         rows, ends, box, orders, terms, (forms, arm) = self._fixed(given)
         found = answers(forms, arm, np.ascontiguousarray(T), self.within)
-        if not decide_rows(rows, ends, T, found, box, starts, orders, terms, made):
+        still = decide_rows(rows, ends, T, found, box, starts, orders, terms, made)
+        if not len(still):
             return
-        unsure = made[:, AT.excess] != (NEAREST if self.options.closest else DECIDED)
-        (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CODE.converged)))
         rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
         self.run(T[still], kinds, starts, given, rest)
         far = [np.linalg.norm(rows[:, SIZE.answer : SIZE.answer + N] - starts, axis=1) for rows in (rest, made[still])]

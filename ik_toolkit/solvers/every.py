@@ -123,10 +123,10 @@ def _find(
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         found = _without(found, [not model.collides(x) for x in found.q], "of them collide and are left out")
-    if o.check and len(found):
+    if o.check:
         certain, good = found.certificate is None, [confirmed(plan, q, T[0], kinds) for q in found.q]
         found = _without(found, good, "are not confirmed by Pinocchio and left out", certain)
-    if plan.robot.constraints and len(found):
+    if plan.robot.constraints:
         kept = [constraints_of(plan.robot, q, o).holds for q in found.q]
         found = _without(found, kept, "do not keep the constraints of the description and are left out")
     if len(found) > count:

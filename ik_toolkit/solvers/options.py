@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypedDict
 
@@ -19,7 +19,11 @@ PLAIN: dict[str, Any] = {
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
 SLICE = 256  # evaluations in the first run of a solve with a timeout, about 0.25 ms; after each run the clock is read
 FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may move this far
-WORDS = {"objective": ("mid-range", "reference", "manipulability"), "q0_outside": ("clamp", "refuse")}
+WORDS = {
+    "objective": ("mid-range", "reference", "manipulability"),
+    "q0_outside": ("clamp", "refuse"),
+    "frame": ("base", "tip", "target"),
+}
 OTHERWISE = {  # names of options in other packages, each with a message that says what to use here
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
@@ -27,7 +31,6 @@ AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a Collisio
 # The options in COUNTING say which part of the errors counts; each is one value for every tip, or a dict by tip.
 COUNTING = ("mask", "slack", "free_turn", "frame")
 GROUPS = ("position", "orientation")  # the errors of a tip, as `priority` orders them
-FRAMES = ("base", "tip", "target")
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
     """
     values = dict(given)
     if "tolerance" in values:
-        tolerance = _number("tolerance", values.pop("tolerance"), 1e-14, math.inf)
+        tolerance = _tolerance("tolerance", values.pop("tolerance"))
         values.setdefault("position_tolerance", tolerance)
         values.setdefault("orientation_tolerance", tolerance)
     for name, value in values.items():
@@ -199,52 +202,10 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
 
             known = (*parameters, "tolerance", *NAMES)
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, known)}{solvers_with(name, known)}")
-        if name in ("position_tolerance", "orientation_tolerance"):
-            values[name] = _number(name, value, 1e-14, math.inf)  # a smaller error is below rounding
-            if name == "orientation_tolerance" and values[name] >= math.pi:
-                doubt_angles(name, {"": values[name]})
-        elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
-            low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            # other packages call the start (q0) a seed
-            if name == "seed" and isinstance(value, list | tuple | np.ndarray):
-                raise InvalidOption("seed is the random seed of the restarts; the start is q0")
-            if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
-                raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
-            values[name] = int(value)
-            if name == "max_iterations" and values[name] > MAX_ITERATIONS:
-                raise InvalidOption(
-                    f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
-                )
-        elif name == "avoid_collisions":
-            values[name] = avoided(value)
-        elif name in ("timeout", "length_scale") and value is not None:
-            values[name] = _number(name, value, 0.0 if name == "timeout" else 1e-6, math.inf)
-        elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
-            if name == "objective" and value is None:
-                continue
-            raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
-        elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
-            if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
-                hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
-                raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
-            values[name] = bool(value)
-        elif name == "follow":
-            values[name] = FOLLOW * value if isinstance(value, bool | np.bool_) else _number(name, value, 0.0, math.inf)
-        elif name in COUNTING:
-            if isinstance(value, Mapping):
-                values[name] = {tip: counting(name, one) for tip, one in value.items()}
-            else:
-                values[name] = counting(name, value)
-        elif name == "priority" and value is not None:
-            values[name] = levels_of(value)
-        elif name == "relative_to" and value is not None:
-            if not isinstance(value, Mapping) or not all(isinstance(x, str) for pair in value.items() for x in pair):
-                raise InvalidOption(
-                    f"relative_to must be a dict from a tip to the tip its target is relative to, not {value!r}"
-                )
-            values[name] = dict(value) or None
-        elif name == "joint_weights" and value is not None:
-            values[name] = _weights(name, value)
+        if name in COUNTING and isinstance(value, Mapping):
+            values[name] = {tip: _read(name, one) for tip, one in value.items()}
+        else:
+            values[name] = _read(name, value)
     refused = [name for name in ("closest", "restarts", "objective") if values.get("follow") and values.get(name)]
     if refused:
         raise InvalidOption(
@@ -255,35 +216,9 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
     return Options(**values)
 
 
-def counting(name: str, value: Any) -> Any:
-    """Return a valid value of the option `name` (mask, slack, free_turn or frame) as Options keeps it. Raises InvalidOption.
-
-    A mask of ones and a slack of zeros, which change nothing, become None.
-    """
-    if name == "frame":
-        if not (isinstance(value, str) and value in FRAMES):
-            raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
-        return value
-    if value is None:
-        return None
-    if name == "mask":
-        weights = _weights(name, value)
-        if len(weights) != 6:
-            raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
-        return weights if set(weights) != {1.0} else None
-    if name == "free_turn":
-        value = named_axis(value, name, InvalidOption)
-    array = floats(value, f"{name} must be numbers", InvalidOption)
-    if name == "slack":
-        if array.shape != (6,) or not (array >= 0).all():
-            raise InvalidOption(
-                f"slack must have six half widths of at least 0 (x, y, z [m], rx, ry, rz [rad]; inf frees one), not {value!r}"
-            )
-        return tuple(array.tolist()) if array.any() else None
-    length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
-    if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
-        raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
-    return tuple((array / length).tolist())
+def _read(name: str, value: Any) -> Any:
+    """Return a value of the option `name`, for all tips or for one, as Options keeps it; None only where that is the default."""
+    return None if value is None and getattr(Options, name) is None else READERS[name](name, value)
 
 
 def levels_of(value: Any) -> tuple[tuple[tuple[str, str], ...], ...]:
@@ -315,6 +250,71 @@ def _groups_of(entry: Any) -> list[tuple[str, str]]:
     raise InvalidOption(f"priority: {entry!r:.60} is neither a tip nor a pair such as ('tip', 'position')")
 
 
+def _tolerance(name: str, value: Any) -> float:
+    number = _number(name, value, 1e-14)  # a smaller error is below rounding
+    if name == "orientation_tolerance" and number >= math.pi:
+        doubt_angles(name, {"": number})
+    return number
+
+
+def _whole(name: str, value: Any) -> int:
+    if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start (q0) a seed
+        raise InvalidOption("seed is the random seed of the restarts; the start is q0")
+    low = 1 if name == "max_evaluations" else 0
+    if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
+        raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
+    if name == "max_iterations" and value > MAX_ITERATIONS:
+        raise InvalidOption(
+            f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
+        )
+    return int(value)
+
+
+def _switch(name: str, value: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
+        hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
+        raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
+    return bool(value)
+
+
+def _word(name: str, value: Any) -> str:
+    if not (isinstance(value, str) and value in WORDS[name]):
+        raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
+    return value
+
+
+def _mask(name: str, value: Any) -> tuple[float, ...] | None:
+    """Return six weights; None for ones, which change nothing."""
+    weights = _weights(name, value)
+    if len(weights) != 6:
+        raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
+    return weights if set(weights) != {1.0} else None
+
+
+def _slack(name: str, value: Any) -> tuple[float, ...] | None:
+    """Return six half widths; None for zeros, which change nothing."""
+    array = floats(value, f"{name} must be numbers", InvalidOption)
+    if array.shape != (6,) or not (array >= 0).all():
+        raise InvalidOption(
+            f"slack must have six half widths of at least 0 (x, y, z [m], rx, ry, rz [rad]; inf frees one), not {value!r}"
+        )
+    return tuple(array.tolist()) if array.any() else None
+
+
+def _free_turn(name: str, value: Any) -> tuple[float, ...]:
+    array = floats(named_axis(value, name, InvalidOption), f"{name} must be numbers", InvalidOption)
+    length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
+    if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
+        raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
+    return tuple((array / length).tolist())
+
+
+def _relative_to(name: str, value: Any) -> dict[str, str] | None:
+    if not isinstance(value, Mapping) or not all(isinstance(x, str) for pair in value.items() for x in pair):
+        raise InvalidOption(f"{name} must be a dict from a tip to the tip its target is relative to, not {value!r}")
+    return dict(value) or None
+
+
 def _weights(name: str, value: Any) -> tuple[float, ...]:
     array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
@@ -322,7 +322,7 @@ def _weights(name: str, value: Any) -> tuple[float, ...]:
     return tuple(array.tolist())
 
 
-def _number(name: str, value: Any, low: float, high: float) -> float:
+def _number(name: str, value: Any, low: float = 0.0, high: float = math.inf) -> float:
     number = floats(value, f"{name} must be a number", InvalidOption)
     if number.shape != ():
         raise InvalidOption(f"{name} must be a number, not an array of shape {number.shape}")
@@ -331,3 +331,23 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
         allowed = f"between {low:.10g} and {high:.10g}" if high < math.inf else f"finite and at least {low:.10g}"
         raise InvalidOption(f"{name} must be {allowed}, not {value!r}")
     return number
+
+
+READERS: dict[
+    str, Callable[[str, Any], Any]
+] = {  # for each option, what checks a value of it and makes it what Options keeps
+    **dict.fromkeys(("position_tolerance", "orientation_tolerance"), _tolerance),
+    **dict.fromkeys(("max_iterations", "restarts", "max_evaluations", "seed"), _whole),
+    **dict.fromkeys(("limits", "wrap", "closest", "history", "check"), _switch),
+    **dict.fromkeys(WORDS, _word),
+    "timeout": _number,
+    "length_scale": lambda name, value: _number(name, value, 1e-6),
+    "mask": _mask,
+    "slack": _slack,
+    "free_turn": _free_turn,
+    "priority": lambda _, value: levels_of(value),
+    "relative_to": _relative_to,
+    "joint_weights": _weights,
+    "avoid_collisions": lambda _, value: avoided(value),
+    "follow": lambda name, value: FOLLOW * value if isinstance(value, bool | np.bool_) else _number(name, value),
+}

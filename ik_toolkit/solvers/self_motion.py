@@ -9,7 +9,9 @@ limits cut it, at points found by bisection. A curve that lies between two slice
 # Numba's type hints are incomplete, so pyright must not report what they lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
+from collections.abc import Iterator
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,69 +158,56 @@ def turning_point(p, box, q, t, h, i, x, u):
 
 
 @cached
-def follow(rows, ends, opt, T, seeds, seen, first, out):
-    """Follow the self-motion through seed number `first`, without limits, and mark the seeds on it in `seen`.
+def follow(rows, ends, opt, T, start, sign, seeds, seen, out):
+    """Follow the self-motion through `start` (7,) in one direction, without limits, and mark the seeds on it in `seen`.
 
     Every point where a joint reverses is added, so that each joint moves monotonically from point to point. rows, ends, opt:
-    geometry, limits and options of a plan's chain; T (4, 4): target [m]; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on
-    a curve found so far; out (2, points, 7) receives the curve forwards and backwards, each from the seed on. Returns the numbers
-    of points (2,), and the reason (`MotionEnd`) why the curve ends in each direction (2,).
+    geometry, limits and options of a plan's chain; T (4, 4): target [m]; sign: 1 for the direction of `first_direction`, -1 for the
+    other; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on a curve found so far. The curve is written to out (points, 7).
+    Returns the first and the last + 1 of its points, and the reason (`MotionEnd`) why it ends there.
     """
     p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
-    counts, stops = np.zeros(2, np.int64), np.full(2, -1)
-    places, vectors = np.zeros((3, N)), np.zeros((7, N))
+    places, vectors = np.zeros((3, N)), np.zeros((6, N))
     places[0], places[1] = -np.inf, np.inf
     box = Bounds(places)
-    q, t, x, u, y, v, start = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6]
-    seen[first] = 1
-    for way in range(2):
-        copy(seeds[first], p.desk.q)
-        onto_pose(p)
-        copy(p.desk.q, q)
-        copy(q, out[way, 0])
-        counts[way], past = 1, FOLLOWING.past
-        if way == 0:
-            first_direction(p, box, y, v, start)
+    q, t, x, u, y, v = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5]
+    copy(start, p.desk.q)
+    onto_pose(p)
+    copy(p.desk.q, q)
+    copy(q, out[0])
+    first_direction(p, box, y, v, t)
+    for i in range(N):
+        t[i] *= sign
+    size, past, h = 1, FOLLOWING.past, FOLLOWING.longest
+    while size < out.shape[0]:
+        if not step_along(p, box, q, t, h, x, u):
+            h *= 0.5
+            if h < FOLLOWING.shortest:
+                return 0, size, END.singular
+            continue
+        step = h
         for i in range(N):
-            t[i] = start[i] if way == 0 else -start[i]
-        h = FOLLOWING.longest
-        while stops[way] < 0:
-            if not step_along(p, box, q, t, h, x, u):
-                h *= 0.5
-                if h < FOLLOWING.shortest:
-                    stops[way] = END.singular
-                continue
-            step = h
-            for i in range(N):
-                if u[i] * t[i] < 0.0 and min(abs(u[i]), abs(t[i])) > FOLLOWING.level:
-                    step = min(step, turning_point(p, box, q, t, step, i, y, v))
-            if step < h:
-                step_along(p, box, q, t, step, x, u)
-            for k in range(seeds.shape[0]):
-                if seen[k] == 0 and passes(p, box, q, t, step, seeds[k], y, v):
-                    seen[k] = 1
-            if counts[way] > 3 and passes(p, box, q, t, step, out[way, 0], y, v):
-                stops[way] = END.closed
-                copy(y, x)
-            copy(x, out[way, counts[way]])
-            counts[way] += 1
-            if counts[way] > past + 3 and stops[way] < 0 and passes(p, box, q, t, step, out[way, past], y, v):
-                # Near a singular pose the continuation has switched to another, closed curve: only that curve is kept.
-                copy(y, out[way, counts[way] - 1])
-                stops[way], stops[0], counts[0], counts[1] = END.closed, END.closed, counts[way] - past, 1
-                for k in range(counts[0]):
-                    copy(out[way, past + k], out[0, k])
-            if counts[way] == 2 * past:
-                past = counts[way] - 1
-            if stops[way] < 0 and counts[way] == out.shape[1]:
-                stops[way] = END.long
-            copy(x, q)
-            copy(u, t)
-            h = min(1.5 * h, FOLLOWING.longest)
-        if stops[0] == END.closed:
-            break
-    return counts, stops
+            if u[i] * t[i] < 0.0 and min(abs(u[i]), abs(t[i])) > FOLLOWING.level:
+                step = min(step, turning_point(p, box, q, t, step, i, y, v))
+        if step < h:
+            step_along(p, box, q, t, step, x, u)
+        for k in range(seeds.shape[0]):
+            if seen[k] == 0 and passes(p, box, q, t, step, seeds[k], y, v):
+                seen[k] = 1
+        # Near a singular pose the continuation may have switched to another, closed curve: then only that curve is kept.
+        for known in (0, past):
+            if size > known + 3 and passes(p, box, q, t, step, out[known], y, v):
+                copy(y, out[size])
+                return known, size + 1, END.closed
+        copy(x, out[size])
+        size += 1
+        if size == 2 * past:
+            past = size - 1
+        copy(x, q)
+        copy(u, t)
+        h = min(1.5 * h, FOLLOWING.longest)
+    return 0, size, END.long
 
 
 @inline
@@ -278,7 +267,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
     for a, b in pairwise(points):
         passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi)).tolist()
         both = [(i, c[i] - off(c)[i] + np.copysign(outer[i], off(c)[i])) for i in passed for c in (a, b)]
-        beyond = sorted((crossing(a, b, i, value) for i, value in both), key=lambda one: one[0])
+        beyond = sorted((crossing(a, b, i, value) for i, value in both), key=itemgetter(0))
         rows += [*(y for _, y in beyond), b]
     points = np.array(rows)
     if stops[0] == END.closed:
@@ -288,37 +277,28 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         turns = TAU * np.rint((points[-1] - points[0]) / TAU)
         # The closed curve is begun at a point outside the limits.
         points = np.vstack([points[wrong[0] :], points[1 : wrong[0] + 1] + turns])
-    bad = np.abs(off(points)) > half
+    aside = off(points)
+    bad = np.abs(aside) > half
+
+    def at_limits(k: int, place: int) -> Iterator[tuple[float, np.ndarray, tuple[int, int]]]:
+        """Yield where between points k and k + 1 each joint beyond a limit at `place` meets it: share, point, (limit, joint)."""
+        for i in np.flatnonzero(bad[place]).tolist():
+            value = points[place, i] - aside[place, i] + np.copysign(half[i], aside[place, i])
+            yield *crossing(points[k], points[k + 1], i, value), (END.limit, i)
+
     made, part, came = [], [], (stops[0], -1)
-
-    def finish(end: tuple[int, int]) -> None:
-        if len(part) > 1:
-            made.append(curve(np.array(part), (came, end)))
-        part.clear()
-
-    if not bad[0].any():
-        part.append(points[0])
     for k in range(len(points) - 1):
-        a, b = points[k], points[k + 1]
         if (bad[k] & bad[k + 1]).any():
             continue
-        where: list[tuple[float, np.ndarray, int]] = [(0.0, a, -1), (1.0, b, -1)]
-        for side, place in enumerate((k, k + 1)):
-            for i in np.flatnonzero(bad[place]):
-                outside = off(points[place])[i]
-                value = points[place, i] - outside + np.copysign(half[i], outside)
-                found = (*crossing(a, b, int(i), value), int(i))
-                if found[0] > where[0][0] if side == 0 else found[0] < where[1][0]:
-                    where[side] = found
-        if where[0][0] > where[1][0]:
+        enter = max(at_limits(k, k), key=itemgetter(0), default=(0.0, points[k], (stops[0], -1)))
+        leave = min(at_limits(k, k + 1), key=itemgetter(0), default=(1.0, points[k + 1], (stops[-1], -1)))
+        if enter[0] > leave[0]:
             continue
-        if bad[k].any():
-            came = END.limit, where[0][2]
-            part.append(where[0][1])
-        part.append(where[1][1])
-        if bad[k + 1].any():
-            finish((END.limit, where[1][2]))
-    finish((stops[-1], -1))
+        if k == 0 or bad[k].any():
+            part, came = [enter[1]], enter[2]
+        part.append(leave[1])
+        if k == len(points) - 2 or bad[k + 1].any():
+            made.append(curve(np.array(part), (came, leave[2])))
     return made
 
 
@@ -378,15 +358,22 @@ def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> l
         found.append(np.insert(Q, cut.joint, np.repeat(values, count), axis=1))
     seeds = np.vstack(found)
     seen, curves, arrays = np.zeros(len(seeds)), [], (*plan.chain[:2], plan.orders(POSES, True), T)
-    out, y = np.empty((2, FOLLOWING.points, N)), np.empty(N)
+    out, y = np.empty((FOLLOWING.points, N)), np.empty(N)
 
     def crossing(*where: Any) -> tuple[float, np.ndarray]:
         return cross(*arrays, *where, y), y.copy()
 
     while not seen.all():
-        counts, stops = follow(*arrays, seeds, seen, int(np.argmin(seen)), out)
-        points = np.vstack([out[1, 1 : counts[1]][::-1], out[0, : counts[0]]])
-        found = arcs(points, [END.closed] if stops[0] == END.closed else stops[::-1].tolist(), limits, crossing)
+        start, parts, stops = int(np.argmin(seen)), [], []
+        seen[start] = 1
+        for sign in (1.0, -1.0):
+            first, end, stop = follow(*arrays, seeds[start], sign, seeds, seen, out)
+            parts.append(out[first:end].copy())
+            stops.insert(0, stop)
+            if stop == END.closed:
+                break
+        points = parts[-1] if stops[0] == END.closed else np.vstack([parts[1][:0:-1], parts[0]])
+        found = arcs(points, stops, limits, crossing)
         curves += [one for one in found if not any(_same(one, other) for other in curves)]
     return curves
 

@@ -58,8 +58,7 @@ def contents(text: str) -> dict[str, Any]:
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
     lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
-    passive: list[str] = []
-    virtual: list[str] = []
+    joints: dict[str, list[str]] = {"passive_joint": [], "virtual_joint": []}
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
@@ -79,21 +78,19 @@ def contents(text: str) -> dict[str, Any]:
             case "end_effector":
                 links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
                 ends[item.name] = EndEffector(item.name, *links)
-            case "passive_joint":
-                passive.append(item.name)
-            case "virtual_joint":
-                virtual.append(item.name)
+            case "passive_joint" | "virtual_joint":
+                joints[item.tag].append(item.name)
             case "disable_collisions" if given["link1"] != given["link2"]:
                 disabled[given["link1"], given["link2"]] = given.get("reason", "")
             case "enable_collisions":
                 enabled.append((given["link1"], given["link2"]))
             case "disable_default_collisions":
                 quiet.append(given["link"])
-    remarks = []
-    for group in groups.values():
-        unknown = [inner for inner in group.groups if inner not in groups]
-        if unknown:
-            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
+    remarks = [
+        f"group '{group.name}' contains the group '{unknown[0]}', which does not exist"
+        for group in groups.values()
+        if (unknown := [inner for inner in group.groups if inner not in groups])
+    ]
     for (state, group), why in lost.items():
         whose = f" of group '{group}'" if group else ""
         remarks.append(f"configuration '{state}'{whose} is left out: {why}")
@@ -103,8 +100,8 @@ def contents(text: str) -> dict[str, Any]:
         "groups": groups,
         "end_effectors": ends,
         "states": {state: by_group for state, by_group in states.items() if by_group},
-        "passive_joints": tuple(dict.fromkeys(passive)),
-        "virtual_joints": tuple(virtual),
+        "passive_joints": tuple(dict.fromkeys(joints["passive_joint"])),
+        "virtual_joints": tuple(joints["virtual_joint"]),
         "disabled": disabled,
         "quiet": tuple(quiet),
         "enabled": tuple(enabled),

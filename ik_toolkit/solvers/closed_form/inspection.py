@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...compile.jit import cached
+from ...compile.jit import cached, inner
 from ...errors import InvalidOption
 from ...kernel.chain import Chain
 from ...kernel.checks import CODE, RIGID, rigid
@@ -125,6 +125,39 @@ def recognise(chain: Chain) -> Fit:
     return Fit(parameters, "", float(max(value for value, _ in off)))
 
 
+@inner
+def best_branch(p, P, box, near, allowed, scratch, best):
+    """Fill best (n,) with the branch inside the limits that is nearest the reference, or else the one exceeding them least.
+
+    p: the arm's parameters; P (12,): see `wrist_pose`; box (4, n): limits, reference, weights; near (6,): values of angles that are
+    free; allowed [m]: a wrist pose that is out of reach by less may be so by rounding. Returns the lift [m], by how much a limit is
+    exceeded [rad or m], the distance of P from the reach [m], and the stroke [m] that the prismatic joint lacks to reach P.
+    """
+    spans, moved, sols, tries, row, limits = scratch
+    q, trial = tries[0], tries[1]
+    d, count = choose_lift(p, P, box, spans)
+    gap, stroke = max(0.0, -inspection_margin(P, d, p[A4], p[A6])), 0.0
+    broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
+    free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
+    if broken > 0.0:
+        least = pick_level(p, P, d, free, box, near, row, q, trial)
+        if least < broken or (least == 0.0 and gap > 0.0):
+            broken = least
+            copy(trial, best)
+    if free and broken > 0.0 and count != 0:
+        if count < 0:
+            low, high = lift_limits(p, box)
+            count = lift_intervals(P, p[A4], p[A6], low, high, spans)
+        broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
+        if broken > 0.0:
+            broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
+    elif free and gap >= allowed:  # A smaller gap may be rounding, and then no stroke is missing.
+        d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
+        if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
+            broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
+    return d, broken, gap, stroke
+
+
 @cached
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
@@ -133,11 +166,9 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """
     n = seeds.shape[1]
     p = opt[SIZE.weights + n :]
-    box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
-    P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
-    tries, best, branches = np.empty((2, n)), np.empty(n), np.empty((9, n))
-    q, trial = tries[0], tries[1]
-    row, limits = np.empty(6), np.empty(WINDOWS)
+    box, near, P, moved, sols = np.empty((4, n)), np.empty(6), np.empty(12), np.empty(12), np.empty((8, 6))
+    best, branches = np.empty(n), np.empty((9, n))
+    scratch = np.empty((2, 2)), moved, sols, np.empty((2, n)), np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     for t in range(T.shape[0]):
         if not rigid(T[t], RIGID.axes):
@@ -149,32 +180,12 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             continue
         near_angles(p, box, near)
         wrist_pose(p, T[t], P)
-        d, count = choose_lift(p, P, box, spans)
-        gap, stroke = max(0.0, -inspection_margin(P, d, p[A4], p[A6])), 0.0
-        broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
-        free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
-        if broken > 0.0:
-            least = pick_level(p, P, d, free, box, near, row, q, trial)
-            if least < broken or (least == 0.0 and gap > 0.0):
-                broken = least
-                copy(trial, best)
-        if free:
-            if broken > 0.0 and count != 0:
-                if count < 0:
-                    low, high = lift_limits(p, box)
-                    count = lift_intervals(P, p[A4], p[A6], low, high, spans)
-                broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
-                if broken > 0.0:
-                    broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
-            elif gap >= opt[ORDER.tol_p]:  # A smaller gap may be rounding, and then no stroke is missing.
-                d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
-                    broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
+        d, broken, gap, stroke = best_branch(p, P, box, near, opt[ORDER.tol_p], scratch, best)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
         slack = opt[ORDER.tol_r] * lever  # orientation tolerance as a distance at the wrist
         nearly, spent = p[NEARLY] > 0.0, 0.0
         i = int(p[LIFT])
-        fixed = i if i >= 0 and not free else -1
+        fixed = i if p[LIFT + 2] == GIVEN else -1
         able = fixed < 0 or box[0, fixed] <= best[fixed] <= box[1, fixed]
         if able and (nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack)):
             # The best branch so far, and all branches at the same lift, are refined on the robot's own chain.

@@ -61,13 +61,8 @@ def newton(p, old, opt, T, q, fixed, steps, most):
         count += 1
         size = wp * wp * e.linear.square() + wr * wr * e.angular.square()
         if size < best:
-            best, position, rotation = (
-                size,
-                math.sqrt(e.linear.square()) * box.scale(),
-                rotation_angle(e.angular.square()),
-            )
-            if kind == KIND.position:
-                rotation = 0.0
+            best, position = size, math.sqrt(e.linear.square()) * box.scale()
+            rotation = rotation_angle(e.angular.square()) if kind != KIND.position else 0.0
             copy(x, old)
             damping = max(0.1 * damping, SOFTEST)
             if position <= 1e-3 * o.tol_p and rotation <= 1e-3 * o.tol_r:
