@@ -20,7 +20,7 @@ from ...text import how_many
 from ...validate import switch
 from ..options import BatchOptions
 from ..plan import Plan
-from ..solve import Solver, require_robot
+from ..solve import bound_solver, require_robot
 from .parts import Part, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_failures
 from .targets import Block, blocks, doubt_far, known, with_free_turns
@@ -85,7 +85,7 @@ def _begin(
     total = None if given is None else _length(given)
     starts, notice = _read_starts(robot, q0, total)
     kinds = (KIND.pose,) * len(robot.tips) if first is None else first.kinds
-    plan = Solver(robot, solver, **options).plan_for(kinds)
+    plan = bound_solver(robot, solver, options).plan_for(kinds)
     if first is None:
         return total, (none for none in ()), kinds, plan, notice
     if starts is not None:
