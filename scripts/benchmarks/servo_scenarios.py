@@ -159,7 +159,10 @@ def phases(rates: list[float], lap: float = 2.0 * np.pi) -> np.ndarray:
             if k == len(rates) - 1:
                 now *= float(1.0 - ramp(np.array((local - 0.85) / 0.15)))
             now = max(now, 0.02 * rate)
-            phase = min(phase + now * DT, (k + 1) * lap + 1e-12)
+            phase += now * DT
+            # Only the last lap is cut at its end: after any other the target would jerk back for a sample.
+            if k == len(rates) - 1:
+                phase = min(phase, (k + 1) * lap + 1e-12)
             out.append(phase)
         last = rate
     return np.array(out)
