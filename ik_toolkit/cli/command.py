@@ -2,7 +2,7 @@
 
 import contextlib
 import functools
-import importlib.util
+import importlib.metadata
 import inspect
 import math
 import os
@@ -162,18 +162,26 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
         if suffixes:
             as_output(file, f"the file of {'/'.join(param.opts)}", *suffixes)
         for kind, package, extra in ((".png", "matplotlib", "plots"), (".html", "trimesh", "view")):
-            if kind in suffixes and importlib.util.find_spec(package) is None:
-                raise MissingExtra(package, extra)
+            if kind in suffixes:
+                require_extra(package, extra)
         require_place(file)
         return file
 
     return check
 
 
+def require_extra(package: str, extra: str) -> None:
+    """Raise MissingExtra, before any work is done, if a package is not installed; extra: name of the extra that installs it."""
+    try:
+        importlib.metadata.distribution(package)  # A package of data has no module to look for.
+    except importlib.metadata.PackageNotFoundError:
+        raise MissingExtra(package, extra) from None
+
+
 def can_show(_: typer.CallbackParam, live: bool) -> bool:
     """Return the value of an option that shows a scene once the work is done. Raises MissingExtra if it cannot be drawn."""
-    if live and importlib.util.find_spec("trimesh") is None:
-        raise MissingExtra("trimesh", "view")
+    if live:
+        require_extra("trimesh", "view")
     return live
 
 

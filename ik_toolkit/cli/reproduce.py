@@ -6,7 +6,7 @@ import pkgutil
 from pathlib import Path
 
 from ..errors import InvalidOption, near_match
-from .command import argument, command, option, options
+from .command import argument, command, option, options, require_extra
 from .options import JsonOutput
 from .output import notice, progress, show, table, write_json
 from .streams import uninterrupted
@@ -43,6 +43,8 @@ def reproduce(asked: ReproduceOptions) -> None:
         return
     if paper not in PAPERS:
         raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
+    if (needs := PAPERS[paper].needs) is not None:
+        require_extra(*needs)
     folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")

@@ -11,6 +11,7 @@ class Paper(NamedTuple):
 
     target: str  # "module:function" that returns a `report.Report`
     summary: str  # one line on the paper, for the list of papers
+    needs: tuple[str, str] | None = None  # a package that the report needs, and the extra that installs it
 
 
 PAPERS: dict[str, Paper] = {
@@ -21,10 +22,12 @@ PAPERS: dict[str, Paper] = {
     "shanmugasundar": Paper(
         "ik_toolkit.papers.shanmugasundar_2012.paper:reproduce",
         "Shanmugasundar and Sivaramakrishnan 2012: closed-form inverse of a 7-joint inspection robot",
+        ("scipy", "paths"),
     ),
     "patko": Paper(
         "ik_toolkit.papers.patko_2019.paper:reproduce",
         "Patko and Zelei 2019: tracking at velocity and acceleration level, four methods",
+        ("example-robot-data", "robots"),
     ),
     "chinyai": Paper(
         "ik_toolkit.papers.chinyai.paper:reproduce",

@@ -1,5 +1,6 @@
 """User errors, bugs, interrupts and closed pipes: one sentence, an exit code, never a traceback."""
 
+import importlib.metadata
 import os
 import signal
 import subprocess
@@ -225,14 +226,21 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, wo
         ("workspace planar_2r --html x.html", "trimesh"),
         ("reach planar_2r --html x.htm", "trimesh"),
         ("reach planar_2r --plot x.png", "matplotlib"),
+        ("reproduce patko", "example-robot-data"),
+        ("reproduce shanmugasundar", "scipy"),
     ],
 )
-def test_what_draws_is_missed_before_the_work(run, words, package, tmp_path, monkeypatch):
+def test_a_missing_package_is_said_before_the_work(run, words, package, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+
+    def missing(package):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr("importlib.metadata.distribution", missing)
     code, out, err = run(*words.split())
     assert code == 3 and not out and err.startswith(f"ik: {package} is not installed; run: pip install ")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work(refused, monkeypatch):
