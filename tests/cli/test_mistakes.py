@@ -218,6 +218,14 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, wo
     assert "there is no folder 'no'" in err or "is a folder" in err or "is written as" in err
 
 
+def without_packages(monkeypatch):
+    def missing(package):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr("importlib.metadata.distribution", missing)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+
+
 @pytest.mark.parametrize(
     ("words", "package"),
     [
@@ -233,11 +241,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, wo
 def test_a_missing_package_is_said_before_the_work(run, words, package, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
-
-    def missing(package):
-        raise importlib.metadata.PackageNotFoundError
-
-    monkeypatch.setattr("importlib.metadata.distribution", missing)
+    without_packages(monkeypatch)
     code, out, err = run(*words.split())
     assert code == 3 and not out and err.startswith(f"ik: {package} is not installed; run: pip install ")
     assert not [*tmp_path.iterdir()]
@@ -245,7 +249,7 @@ def test_a_missing_package_is_said_before_the_work(run, words, package, tmp_path
 
 def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work(refused, monkeypatch):
     monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    without_packages(monkeypatch)
     assert "is written as .html or .htm" in refused("calibrate", "planar_2r", "--data", "x.csv", "--html", "x.txt")
 
 
