@@ -1,6 +1,7 @@
 """Poses from NPZ and JSON files, as arrays; a row of numbers that cannot be used is named, counted from 0 as numpy does."""
 
 import json
+import re
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -110,8 +111,8 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
 
 def _refuse_rotations(path: Path, names: Iterable[str]) -> None:
     """Raise InvalidTarget if one of the `names` of arrays that stand beside positions is that of rotations."""
-    # A saved run has errors of its orientations, which turn nothing.
-    others = [name.lower() for name in names if "error" not in name and "between" not in name]
+    # A saved run may have errors and tolerances of its orientations, which turn nothing.
+    others = [name for name in map(str.lower, names) if not re.search("error|between|tolerance", name)]
     if unread := rotation_columns(others):
         raise InvalidTarget(f"'{path.name}': {', '.join(unread)} would not be read; {FORMS[path.suffix.lower()]}")
 
@@ -226,7 +227,7 @@ def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.
             f"not {targets.shape}"
         )
     if targets.ndim == 3:
-        _refuse_rotations(path, set(names) - {*tips})
+        _refuse_rotations(path, [name for name in names if name not in tips])
     return {tip: targets[:, f] for f, tip in enumerate(order)}
 
 

@@ -235,8 +235,10 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
     except (TypeError, ValueError):  # a parameter such as a matrix cannot be hashed, so the solver is not cached
         return Solver(robot, solver, **options)
     if found is None:
+        # It is made outside the lock, because a user's solver may itself solve something while it is bound to the robot.
+        made = Solver(robot, solver, **options)
         with _SOLVERS_LOCK:
-            found = kept[key] = Solver(robot, solver, **options)
+            found = kept.setdefault(key, made)
             if len(kept) > BOUND_KEPT:
                 kept.pop(next(iter(kept)))
     return found

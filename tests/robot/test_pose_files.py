@@ -197,8 +197,16 @@ def test_arrays_of_rotations_that_would_not_be_read_are_refused(arrays, tips, tm
             read_poses(tmp_path / name, "targets", tips=tips)
 
 
-def test_errors_of_orientation_beside_positions_are_no_rotations(tmp_path):
-    np.savez(tmp_path / "run.npz", t=[0.0, 1.0], xyz=np.eye(3)[:2], orientation_error=np.zeros(2))
+def test_the_rotations_that_would_not_be_read_are_named_in_the_order_of_the_file(tmp_path):
+    names = [f"rot_{k}" for k in "hbfdgcea"]
+    np.savez(tmp_path / "poses.npz", targets=np.zeros((2, 2, 3)), **dict.fromkeys(names, np.zeros(2)))
+    with pytest.raises(InvalidTarget, match=f"'poses.npz': {', '.join(names)} would not be read"):
+        read_poses(tmp_path / "poses.npz", "targets", tips=("left", "right"))
+
+
+def test_errors_and_tolerances_of_orientation_beside_positions_are_no_rotations(tmp_path):
+    beside = {"orientation_error": np.zeros(2), "Orientation_Tolerance": np.array(1e-6)}
+    np.savez(tmp_path / "run.npz", t=[0.0, 1.0], xyz=np.eye(3)[:2], **beside)
     assert next(read_poses(tmp_path / "run.npz", "reference", times=True)[1]).poses.shape == (2, 3)
 
 

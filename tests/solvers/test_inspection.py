@@ -251,6 +251,15 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
     assert len(few) == 2 and not few.complete
 
 
+def test_a_branch_on_a_limit_is_inside_also_where_the_solve_leaves_limits_out(arm):
+    for seed in range(2 * arm.n):
+        q = arm.random_q(np.random.default_rng(seed))
+        i = seed % arm.n
+        q[i] = (arm.lower, arm.upper)[seed // arm.n][i]
+        made = ik.solve(arm, arm.fk(q), q0=q, limits=False).explain()
+        assert made.chosen is not None and not made.worked.branches[made.chosen].outside, seed
+
+
 def test_locked_lift_is_complete_and_agrees_with_restarts(arm):
     held = arm.locked({"lift": 0.3})
     assert fits(held, KIND.pose) == "inspection" and fits(arm, KIND.position) is None

@@ -1,6 +1,7 @@
 """The public solve call: defaults, options, messages, singular and unreachable targets."""
 
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -36,6 +37,23 @@ def test_names_classes_and_instances_mean_the_same():
     assert by_name.q.tobytes() == ik.solve(robot, T, ik.DLS(damping=0.1)).q.tobytes()
     assert by_name.q.tobytes() == ik.solve(robot, T, ik.DLS, damping=0.1).q.tobytes()
     assert by_name.q.tobytes() != ik.solve(robot, T, "dls", damping=0.5).q.tobytes()
+
+
+def test_a_solver_may_solve_while_it_is_bound():
+    class Careful(ik.LM):
+        def loop(self, robot):
+            assert ik.solve(robot, (0.9, 0.9, 0.0)).success and ik.solve_batch(robot, [(0.9, 0.9, 0.0)]).success.all()
+            return ik.LM(*self).loop(robot)
+
+    robot, found = ik.Robot.load("planar_2r"), []
+    for call in (ik.solve, lambda *given: ik.solve_batch(given[0], [given[1]], given[2])[0]):
+        for _ in range(2):  # The second call takes the solver that the first has made.
+            work = threading.Thread(
+                target=lambda call=call: found.append(call(robot, (1.0, 1.0, 0.0), Careful())), daemon=True
+            )
+            work.start()
+            work.join(60.0)
+    assert len(found) == 4 and all(result.success for result in found)
 
 
 def test_the_first_argument_is_a_robot():

@@ -9,7 +9,7 @@ from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
 from ...compile.jit import cached
 from ...kernel.records import copy
 from ...text import length
-from ..explain.worked_solution import Branch, Free, WorkedSolution
+from ..explain.worked_solution import Branch, Free, WorkedSolution, outside_limits
 from ..explain.worksheet import Worksheet, zero_angles
 from .lift_arm import A4, A6, GIVEN, JOINTS, LIFT, joint_values, near_angles, wrist_pose
 from .lift_list import feasible_lifts, looks
@@ -105,7 +105,7 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
         q = row[Q:].copy()
         own = Worksheet(sheet.steps)
         _angles(own, symbols, robot, p, head, row)
-        branches.append(Branch(label, q, tuple(robot.outside(q)), tuple(own.steps)))
+        branches.append(Branch(label, q, outside_limits(robot, q), tuple(own.steps)))
     free, words = None, ""
     if place >= 0:
         inside = feasible_lifts(p, T, robot.lower[place], robot.upper[place])

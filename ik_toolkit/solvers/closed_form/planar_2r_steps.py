@@ -7,7 +7,7 @@ import numpy as np
 from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
 from ...text import length
-from ..explain.worked_solution import Branch, WorkedSolution
+from ..explain.worked_solution import Branch, WorkedSolution, outside_limits
 from ..explain.worksheet import Worksheet, zero_angles
 from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
 
@@ -63,7 +63,7 @@ def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> 
             theta_1 = own.angle("theta_1", psi - beta, angles[k, 0])
         for i, theta in enumerate((theta_1, theta_2)):
             own.joint(robot.joint_names[i], theta, i, p[ANGLES + 2 * i], zeros[str(theta)], q[k, i])
-        branches.append(Branch(LABELS[side], q[k], tuple(robot.outside(q[k])), tuple(own.steps)))
+        branches.append(Branch(LABELS[side], q[k], outside_limits(robot, q[k]), tuple(own.steps)))
     return WorkedSolution(
         tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, point[2] - p[HEIGHT]), None, BESIDE
     )

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..closed_form.geometry import SNAP
+
 
 class WorkedStep(NamedTuple):
     """One line of a calculation: a symbol, and the number or the formula that it stands for.
@@ -77,8 +79,14 @@ class WorkedSolution(NamedTuple):
 
 def listed_branches(robot: Any, found: Any) -> WorkedSolution:
     """Return the branches (`closed_form.geometry.Branches`) of a closed form for which no derivation is written, as a list."""
-    branches = [Branch(f"branch {k}", q, tuple(robot.outside(q))) for k, q in enumerate(found.q, 1)]
+    branches = [Branch(f"branch {k}", q, outside_limits(robot, q)) for k, q in enumerate(found.q, 1)]
     return WorkedSolution((), tuple(branches))
+
+
+def outside_limits(robot: Any, q: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the joints whose value in q (n,) [rad or m] is outside its limits by more than rounding."""
+    inside = np.clip(q, robot.lower, robot.upper)
+    return tuple(robot.outside(np.where(np.abs(q - inside) <= SNAP, inside, q)))
 
 
 def nearest_branch(robot: Any, branches: Sequence[Branch], q: np.ndarray) -> tuple[int, float]:
