@@ -63,11 +63,9 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
     """
     require_one_tip(robot, "a study of singularities")
     Q = np.array([robot.check_q(q) for q in Q]).reshape(-1, robot.n)
-    anywhere = np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)])
-    J = (
-        robot.chain.forward(np.vstack([Q, anywhere]), jacobian=True)[1][:, : 3 if position_only else 6]
-        * robot.chain.unit
-    )
+    anywhere = robot.random_q(np.random.default_rng(0), 8)
+    J = robot.chain.forward(np.vstack([Q, anywhere]), jacobian=True)[1] * robot.chain.unit
+    J = J[:, : 3 if position_only else 6]
     J[:, :3] /= robot.chain.scale
     directions, sizes, _ = np.linalg.svd(np.hstack([*J[len(Q) :]]))
     values = np.linalg.svd(directions[:, sizes > 1e-9].T @ J[: len(Q)], compute_uv=False)

@@ -195,6 +195,24 @@ def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
     assert done.returncode == 0 and rb"\xe4rm" in done.stdout
 
 
+@pytest.fixture
+def before_the_work(monkeypatch, tmp_path):
+    """Run in an empty folder, and fail when a robot is loaded."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+
+
+@pytest.fixture
+def without_packages(monkeypatch):
+    """Let no package be found, neither as a module nor as a distribution."""
+
+    def missing(package):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr("importlib.metadata.distribution", missing)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -210,20 +228,10 @@ def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
         "track planar_3r --plot x.gif",
     ],
 )
-def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(refused, words, before_the_work, tmp_path):
     (tmp_path / "folder.png").mkdir()
-    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
     err = refused(*words.split())
     assert "there is no folder 'no'" in err or "is a folder" in err or "is written as" in err
-
-
-def without_packages(monkeypatch):
-    def missing(package):
-        raise importlib.metadata.PackageNotFoundError
-
-    monkeypatch.setattr("importlib.metadata.distribution", missing)
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
 
 
 @pytest.mark.parametrize(
@@ -238,18 +246,15 @@ def without_packages(monkeypatch):
         ("reproduce shanmugasundar", "scipy"),
     ],
 )
-def test_a_missing_package_is_said_before_the_work(run, words, package, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
-    without_packages(monkeypatch)
+def test_a_missing_package_is_said_before_the_work(run, words, package, before_the_work, without_packages, tmp_path):
     code, out, err = run(*words.split())
     assert code == 3 and not out and err.startswith(f"ik: {package} is not installed; run: pip install ")
     assert not [*tmp_path.iterdir()]
 
 
-def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work(refused, monkeypatch):
-    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
-    without_packages(monkeypatch)
+def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work(
+    refused, before_the_work, without_packages
+):
     assert "is written as .html or .htm" in refused("calibrate", "planar_2r", "--data", "x.csv", "--html", "x.txt")
 
 
@@ -290,9 +295,7 @@ def test_the_page_of_a_calibration_needs_no_extra_and_is_refused_before_the_work
         ("doctor --prepare --json", "--prepare cannot be combined with --json"),
     ],
 )
-def test_an_option_without_effect_is_refused_before_the_work(refused, words, says, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+def test_an_option_without_effect_is_refused_before_the_work(refused, words, says, before_the_work, tmp_path):
     assert refused(*words.split()) == f"ik: {says}\n" and not list(tmp_path.iterdir())
 
 
