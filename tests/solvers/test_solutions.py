@@ -206,3 +206,21 @@ def test_solutions_that_are_turns_apart_are_listed_once_with_mimic_joints_and_fo
         if limits:
             turned = ik.solve_all(robot, robot.fk(q), starts=300, all_turns=True)
             assert len(turned) == 2**robot.n and len(np.unique(np.round(turned.q, 6), axis=0)) == len(turned)
+
+
+@pytest.mark.parametrize(("kind", "ratio"), [("prismatic", 1.0), ("revolute", 0.5)])
+def test_a_joint_is_not_turned_where_what_it_moves_does_not_turn_with_it(kind, ratio):
+    """A screw lifts its nut, and a gear of half the angle is on the other side after a turn."""
+    arm = [
+        robots.joint("a", "revolute", "o", "l1", limits=(-7.0, 7.0)),
+        robots.joint("b", kind, "l1", "l2", xyz="0.3 0 0", limits=(-9.0, 9.0), mimic=robots.tie("a", ratio)),
+        robots.joint("c", "revolute", "l2", "l3", "0 1 0", "0.4 0 0", limits=(-7.0, 7.0)),
+        robots.joint("d", "fixed", "l3", "hand", xyz="0.4 0 0"),
+    ]
+    robot = ik.Robot.load(robots.branches(*arm), tip="hand")
+    q = np.array([1.0, 1.1])
+    found = ik.solve_all(robot, robot.fk(q), starts=300, all_turns=True)
+    assert np.abs(found.q - q).max(axis=1).min() < 1e-6 and len(found) == 2  # c may make a full turn
+    assert found.message.endswith("2 on all full turns")  # so none had to be left out by the check with Pinocchio
+    for row in found.q:
+        np.testing.assert_allclose(robot.fk(row).homogeneous, robot.fk(q).homogeneous, atol=1e-5)

@@ -155,12 +155,20 @@ def test_measures_of_a_planar_arm():
     area = np.abs(np.sin(Q[:, 1])) / robot.chain.scale**2  # links of 1 m: |det J| = sin(theta_2)
     assert np.abs(product - area).max() < 1e-12
     assert condition[0] == np.inf and least[0] == 0.0 and (condition[1:] < 10).all()
-    places = ((0.0, 0.0, 0.0), (0.5, 0.3, 0.2)), ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    tilted = drawn([("revolute", *place, (0, 0, 1), -2.6, 2.6) for place in places], (1.0, 0.0, 0.0))
-    assert np.allclose(measures(tilted, Q), (product, condition, least), atol=1e-12)
     for bad in ([0.3, 0.0], [[0.3, np.nan]]):
         with pytest.raises(InvalidConfiguration):
             measures(robot, bad)
+
+
+def test_measures_of_a_planar_arm_are_the_same_in_a_tilted_plane():
+    ahead, level, Q = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.array([[0.3, 0.5, 0.2], [0.1, np.pi / 2, -1.0]])
+    arms = []
+    for tilt in (level, (0.5, 0.3, 0.2)):
+        places = (level, tilt), (ahead, level), (ahead, level)
+        arms.append(drawn([("revolute", *place, (0, 0, 1), -2.6, 2.6) for place in places], ahead))
+    for position_only in (True, False):
+        flat, tilted = (measures(arm, Q, position_only) for arm in arms)
+        assert flat[0].min() > 0.01 and np.allclose(tilted, flat, atol=1e-12)
 
 
 def test_escapes_from_the_straight_arm():
