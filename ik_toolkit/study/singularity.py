@@ -72,7 +72,7 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
     least, most = values[:, -1], values[:, 0]
     safe = least > 1e-12 * np.maximum(most, 1e-300)
     condition = np.where(safe, most / np.where(safe, least, 1.0), np.inf)
-    return np.prod(values, axis=1), condition, np.where(safe, least, 0.0)
+    return np.where(safe, np.prod(values, axis=1), 0.0), condition, np.where(safe, least, 0.0)
 
 
 def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
