@@ -67,10 +67,13 @@ def _prepare(background: bool) -> None:
     from ..solvers.prepare import prepare
 
     place = folder()
-    with first_use.only_one(place) if background and place else nullcontext(True) as alone:
+    if place is None:
+        notice("nothing is compiled now, because it could not be kept")
+        return
+    with first_use.only_one(place) if background else nullcontext(True) as alone:
         if alone:
             prepare(progress=notice)
-    if place and not background:
+    if not background:
         first_use.forget(place)
 
 

@@ -90,6 +90,13 @@ def test_what_the_uncompiled_kernel_cannot_solve_is_solved_compiled_and_then_eve
     assert set(tmp_path.rglob("*.nbc")) == kept
 
 
+def test_nothing_is_compiled_ahead_where_it_cannot_be_kept(monkeypatch, capsys):
+    monkeypatch.setattr(kernels, "folder", lambda: None)
+    monkeypatch.setattr("ik_toolkit.solvers.prepare.prepare", lambda **_: pytest.fail("compiled in vain"))
+    assert main(["doctor", "--prepare"]) in (0, 1)
+    assert "could not be kept" in capsys.readouterr().err
+
+
 DYING = """
 import os, sys
 from pathlib import Path
