@@ -82,9 +82,8 @@ class CertaintyThresholds(NamedTuple):
     paired: float = 1e-6
     # the equations have two null vectors if their second smallest singular value is below this share of the largest
     second: float = 1e-3
-    third: float = (
-        1e-3  # two roots are complex only if the third smallest singular value is above this share of the largest
-    )
+    # two roots are complex only if the third smallest singular value is above this share of the largest
+    third: float = 1e-3
     # two roots are complex only if the second smallest singular value is below this share of the largest
     second_complex: float = 1e-6
     closed: float = 1e-11  # largest error of a solution's pose [rad or arm sizes]
