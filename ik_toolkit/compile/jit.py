@@ -53,7 +53,8 @@ inner = njit(**{**BARE, **made_by("CalledPipeline")})
 # Functions with `inline` are copied into every caller, which is best for small code and for arguments that are large records.
 inline = njit(**INLINE)
 build = njit(**BUILD)  # `build` is like `inline`, for functions that allocate arrays
-# `spliced` is for large functions with a single caller: numba inserts them there, so that LLVM does not optimise them twice.
+# `spliced` is for large functions with a single caller: numba inserts them into it before LLVM, which then optimises them only
+# once.
 spliced = njit(inline="always", **BARE)
 # Functions with `shared` are inlined into compiled code, and run uncompiled when Python calls them.
 shared = register_jitable(**INLINE)

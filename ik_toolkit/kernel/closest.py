@@ -166,7 +166,6 @@ def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
                 view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)
             )
             for j in range(SIZE.answer + n + 2, out.shape[1], SIZE.miss):
-                # The other numbers of a tip are its errors, but this is the length by which its target is proven out of reach,
-                # which stays as it was.
+                # Only the errors of each tip are new; the length by which its target is proven out of reach stays as it was.
                 out[k, j] = before[j]
     keep(block)

@@ -68,7 +68,8 @@ class SmallAngles(NamedTuple):
     """Bounds below which a formula that divides by an angle, or by its sine, is replaced."""
 
     sine: float = 1e-9  # two directions count as parallel if the sine of their angle is below this, which is rounding
-    angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; set by hand
+    # [rad] Below this angle a series replaces the closed formula of a second derivative; the value was set by hand.
+    angle: float = 1e-3
 
 
 KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles()

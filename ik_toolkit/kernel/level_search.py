@@ -143,8 +143,8 @@ def search_by_levels(rule, p, job, level, plain, excess):
         near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
         patience = start_attempt(p, job, index - int(o.given), excess)
         if phase == PHASE.constrained:
-            # An attempt that comes near the best minimum would end there, too, and ends early. If that minimum has an error below
-            # QUADRATIC.small, no attempt ends early, because it may meet the tolerance there.
+            # An attempt that comes near the best minimum would end there as well, so it is ended early. If that minimum has an
+            # error below QUADRATIC.small, no attempt is ended early, because it may meet the tolerance there.
             sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
             known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
             decay = QUADRATIC.decay_later if least < 0.0 else QUADRATIC.decay

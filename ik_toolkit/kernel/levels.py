@@ -65,7 +65,7 @@ class LevelSteps(NamedTuple):
     # number of precomputed starts from six joints on; 512 find as many minima as 2048, which take as long to scan as five
     # iterations
     table_six: int = 512
-    known: int = 8  # number of attempts without meeting level 0 after which it is taken to be out of reach
+    known: int = 8  # number of attempts without success after which level 0 is taken to be out of reach
     # An attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the
     # factor `decay_later` once an attempt has reached level 0. At the border of the reach `decay` must not be small.
     decay: float = 0.5

@@ -106,7 +106,7 @@ class ArraySizes(NamedTuple):
     weights: int = len(Orders._fields) + len(Task._fields)
     answer: int = len(Answer._fields)
     miss: int = len(Miss._fields)
-    # a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
+    # how many numbers precede q in a row of a search's history: position error [m], rotation error [rad], number of the attempt
     past: int = 3
 
 

@@ -77,7 +77,7 @@ class Patience(NamedTuple):
 
     iterations: float  # highest number of iterations
     ceiling: float  # squared error above which the attempt is given up in its first iteration
-    decay: float  # factor by which this bound on the squared error changes in each further iteration
+    decay: float  # factor by which `ceiling` changes in each further iteration
     # An attempt nearer than this [squared distance] to `SearchInput.closest` ends, because it would end there anyway; 0: none.
     known: float
 
@@ -291,7 +291,7 @@ def conclude(p, job, made, spent, excess):
 def start_attempt(p, job, k, excess):
     """Put the start of attempt k into p.desk.q, and return the attempt's iteration limit and give-up bound (Patience).
 
-    k < 0 is the attempt from q0. Attempts 0 to BEST - 1 start from the table, nearest first, and all later ones at random.
+    k < 0 is the attempt from q0. Attempts 0 to BEST - 1 begin at precomputed starts, nearest first, later ones at random.
     """
     o, q = job.orders, p.desk.q
     iterations, ceiling, decay = o.iterations, o.c_free, o.rho_free

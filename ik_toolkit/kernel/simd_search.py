@@ -70,7 +70,7 @@ class Call(NamedTuple):
 
 @spliced
 def make_lanes(block, n):
-    """Return Lanes without targets for a chain of n joints, with scratch arrays cut from the memory `block`."""
+    """Return Lanes that have no targets yet, for a chain of n joints, with arrays cut from the scratch memory `block`."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
@@ -104,7 +104,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits in all lanes, holding joints that the gradient pushes past a limit.
+    """Take a damped step inside the joint limits for eight targets at once; joints that the gradient pushes past a limit are held.
 
     s.joints is replaced by the Jacobian. rows: (L, 10) geometry; s: `Lanes`; ends: `Ends`; turning, point, linear, angular: as in
     `lane_errors`; damping: one number a lane.
@@ -138,7 +138,7 @@ def limited_step(rows, s, ends, turning, point, linear, angular, damping):
 
 @spliced
 def take_target(p, o, ends, table, s, lane, t, call):
-    """Put target number t into a lane; return False if it must be left to the ordinary search.
+    """Put target number t into a lane (place) of the SIMD vectors; return False if it must be left to the ordinary search.
 
     p: the problem of one tip; o: `Orders`; ends: `Ends`; table: `StartTable`; s: `Lanes`; call: `Call`.
     """
@@ -160,7 +160,7 @@ def take_target(p, o, ends, table, s, lane, t, call):
 
 @spliced
 def begin_attempt(o, ends, seeds, s, lane, Q0, last):
-    """Set the start and the give-up bound of the next attempt at the target of a lane.
+    """Begin the next attempt at the target in a lane (place) of the SIMD vectors: set its start and its give-up bound.
 
     o: `Orders`; ends: `Ends`; seeds, Q0: starts of the table and of the caller; s: `Lanes`; last: number of the attempt that is
     never given up early, see `search.last_attempt`.
@@ -186,7 +186,7 @@ def begin_attempt(o, ends, seeds, s, lane, Q0, last):
 
 @spliced
 def write_answer(p, o, ends, s, lane, wanted, call):
-    """Write the answer of a lane to its row of call.out, each joint shifted by 2 pi k to be nearest the start.
+    """Write the answer for the target in a lane to its row of call.out, each joint shifted by 2 pi k to be nearest the start.
 
     If rounding in the shift brings the answer out of tolerance, nothing is written, and the target is left to the ordinary search.
     wanted (n,) is scratch; the other arguments are those of `take_target`.

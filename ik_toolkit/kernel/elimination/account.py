@@ -258,8 +258,8 @@ def tolerance(gain):
 def put_solution(found, q, gain, root):
     """Add a solution q (6,) to a list; return the row of an equal solution that is there already, or 0 if it is new.
 
-    found: the list (SIZES.rows, SIZES.columns), see `answer.solve_loops`; gain: `closure.least_gain` at the solution; root: angle
-    [rad] of the root of the determinant that it belongs to.
+    found: the list (SIZES.rows, SIZES.columns), see `answer.solve_loops`; gain: distance from a singular pose
+    (`closure.least_gain`); root: angle [rad] of the root of the determinant that it belongs to.
     """
     count = int(found[0, 0])
     for k in range(1, count + 1):

@@ -132,8 +132,8 @@ def split_wrist(d, pose, off, near):
     square, third = d.form[5] > 0.0, d.form[6] > 0.0
     lead = 2 if third else 0  # index in t of the joint angle that is found first
     error = off * (1.0 + math.sqrt(goal.square()))
-    # Let c be the wrist centre. E2 takes the point E3 c to E1^-1 X c, so both have the same height along axis 2, and the same
-    # distance from any point of axis 2.
+    # Let c be the wrist centre, Ei the motion of joint i, and X the pose to reach. E2 takes the point E3 c to E1^-1 X c, so both
+    # have the same height along axis 2, and the same distance from any point of axis 2.
     ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
     ring, other = (other, ring) if third else (ring, other)
     height, square1, height2, square2 = (
@@ -161,7 +161,8 @@ def split_wrist(d, pose, off, near):
             for k in range(3):
                 line = line_of(lines, k)
                 u, n = turn_back(u, line, t[k]), turn_back(n, line, t[k])
-            # Joints 4 and 5 follow from R4^-1 u = R5 l6, where l6 is the direction of axis 6.
+            # Joints 4 and 5 follow from R4^-1 u = R5 l6, where Ri is the rotation of joint i, l6 the direction of axis 6, and u
+            # this direction turned by the pose and back by joints 1 to 3.
             cone = circle_about(Line(four.along, u * 0.0), u, -1.0)
             D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
@@ -189,7 +190,8 @@ def split_parallel(d, pose, off, near):
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal, w = pose.axes.times(six.point) + pose.point, two.along
     error = off * (1.0 + math.sqrt(goal.square()))
-    # E2 E3 E4 keeps heights along w, so the height of E1^-1 X o equals that of o, the point where axes 5 and 6 meet.
+    # Let Ei be the motion of joint i, X the pose to reach, w the direction of the parallel axes, and o the point where axes 5 and 6
+    # meet. E2 E3 E4 keeps heights along w, so o and E1^-1 X o have the same height.
     A = solve_sum(height_on(circle_about(one, goal, -1.0), w), w.dot(six.point), error)
     normal, elbow = any_normal(w), circle_about(three, four.point, 1.0)
     for i in range(12 if A.free else A.number):
@@ -197,13 +199,15 @@ def split_parallel(d, pose, off, near):
             break
         t[0] = A.second if i == 1 else A.first + (math.pi / 6.0) * i
         c1, s1 = math.cos(t[0]), math.sin(t[0])
-        # Joints 5 and 6 follow from R5 R6 v = w with v = X^-1 R1 w.
+        # Joints 5 and 6 follow from R5 R6 v = w with v = X^-1 R1 w, where Ri is the rotation of joint i and w the direction of the
+        # parallel axes.
         v = pose.axes.across(rotated(w, one.along, c1, s1))
         cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
         unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
-        # Axis 6 is parallel to w, so joint 6 may turn within the range in which the elbow reaches. The middle of it is listed.
+        # Axis 6 is parallel to axes 2 to 4 here, so joint 6 is free within the range in which the elbow reaches. The middle of it
+        # is listed.
         if loose:
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
@@ -215,7 +219,8 @@ def split_parallel(d, pose, off, near):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
             t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
-            # Apply E2 E3 E4 = E1^-1 X E6^-1 E5^-1 to the point of axis 4, which E4 does not move, and to a vector normal to w.
+            # The equation E2 E3 E4 = E1^-1 X E6^-1 E5^-1 (Ei: motion of joint i) is applied to the point of axis 4, which E4 does
+            # not move, and to a vector normal to the parallel axes.
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
