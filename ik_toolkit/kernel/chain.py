@@ -229,7 +229,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` whose bounds on the reach hold without joint limits; prismatic joints then reach any distance."""
+    """Return a copy of `ends` (`records.Ends`) whose bounds on the reach hold even if joint limits are ignored."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
@@ -237,7 +237,7 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
 
 
 def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` in which joints with limits never wrap, even if their range exceeds 2 pi; endless joints still do."""
+    """Return a copy of `ends` (`records.Ends`) in which joints with limits never wrap by 2 pi; endless joints still do."""
     ends = ends.copy()
     turns = ends[..., POINTS + 2 * n : POINTS + 3 * n]
     turns[turns == 1.0] = 0.0

@@ -71,7 +71,7 @@ def held_wrongly(s, error, weights, box):
 
 @inline
 def write_damped_step(p, error, damping, weights, box, pressed):
-    """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
+    """Write to p.desk.dq the damped least-squares step that lowers the error; return the largest move of a joint in it.
 
     By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
     that ought to leave its limit. If that matters (`held_wrongly`), or if `pressed` is set, it instead holds the joints at a limit
@@ -142,9 +142,10 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
 @cached
 def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
-    """Lower the errors of failed searches; q, errors and number of evaluations in their result rows `out` are replaced.
+    """Bring the answers of failed searches nearer to their targets, to local minima of the error inside the limits.
 
-    If a minimisation reaches its target, the row's status becomes CONVERGED. Rows that are CONVERGED stay as they are.
+    In their rows of `out`, q, errors and number of evaluations are replaced. If a minimisation reaches its target, the row's status
+    becomes CONVERGED. Rows that are CONVERGED stay as they are.
 
     Args:
         rows: (L, 10) geometry of the chain or tree.

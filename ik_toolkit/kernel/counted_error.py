@@ -41,7 +41,7 @@ class TargetKinds(NamedTuple):
 
 
 class AxesOfParts(NamedTuple):
-    """Frames in whose axes weights and dead bands may be given."""
+    """Frames in whose axes the weights and dead bands of a pose error may be given."""
 
     base: int = 0
     tip: int = 1
@@ -309,7 +309,7 @@ class Bend(NamedTuple):
 
 @inline
 def plus_cross(m, v):
-    """Return the sum of m and the matrix of the cross product with v, for which the sum times w is m w + v x w."""
+    """Return the matrix m plus the cross-product matrix of v: applied to a vector w, the sum gives m w + v x w."""
     return M3(m.x + V3(0.0, v.z, -v.y), m.y + V3(-v.z, 0.0, v.x), m.z + V3(v.y, -v.x, 0.0))
 
 
