@@ -18,12 +18,12 @@ def importable(value: Any, what: str) -> None:
 
 
 class Holds:
-    """Base of objects that hold a function given by the user.
+    """Base class of objects that hold a function given by the user, so that they can be copied and pickled.
 
-    They can always be copied, and can be pickled if another process finds the function.
+    Copying always works; pickling works if another process can import the function.
     """
 
-    FUNCTION = ""  # name of the attribute that holds the function
+    FUNCTION = ""  # name of the attribute that holds the user's function; a subclass sets it
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes."""
@@ -47,13 +47,13 @@ class Holds:
 
 
 class CopiesViews(Holds):
-    """Base of objects that keep arrays ("blocks") and views of parts of them.
+    """Base class of objects that keep arrays, and views of parts of them, so that a copy does not share these.
 
-    A copy gets its own arrays, of which `_cut` makes the views. `copy.copy` shares only what does not change; for a tracker
-    that is the robot and the obstacles.
+    A copy gets arrays of its own, and its method `_cut` makes the views of them. `copy.copy` shares only what does not change; for
+    a tracker that is the robot and the obstacles.
     """
 
-    VIEWS: tuple[str, ...] = ()  # names of the attributes that `_cut` sets
+    VIEWS: tuple[str, ...] = ()  # names of the attributes that are views, which `_cut` sets
     SHARED: tuple[str, ...] = ()  # names of the attributes that a shallow copy shares with the original
 
     def _cut(self) -> None:
@@ -76,7 +76,7 @@ class CopiesViews(Holds):
 
 
 class Unique:
-    """Base of objects that belong to a window or a server of this process, and therefore cannot be copied."""
+    """Base class of objects that belong to a window or a server of this process, and therefore cannot be copied."""
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Raise InvalidOption, which says that there can be no copy."""
@@ -84,14 +84,15 @@ class Unique:
 
 
 class ReadOnly:
-    """Base of objects whose public attributes cannot be assigned once they are sealed.
+    """Base class of objects whose public attributes can no longer be assigned once the object is built (sealed).
 
-    An assignment would have no effect on what was computed from the attribute before. Names with an underscore can be assigned.
+    What was computed from an attribute would not follow an assignment. Attributes whose name begins with an underscore can be
+    assigned.
     """
 
     __slots__ = ()
-    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public attributes that can be assigned even when sealed
-    # what the error message advises, by attribute; "" is for all that are not listed
+    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public attributes that can be assigned even when the object is sealed
+    # advice of the error message, by attribute that was assigned; "" stands for all others
     _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
     _sealed = False
 

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-COMPARED = 1_000  # largest number of names with which a misspelled name is compared, at up to 50 us each
+COMPARED = 1_000  # largest number of names with which a misspelled name is compared, at up to 50 us a name
 SHOWN = 100  # longest name [characters] that is compared or shown in full; comparing takes quadratic time
 # Characters that a terminal acts on instead of showing them: control characters but tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
-FAR_AWAY = 50.0  # [arm reaches] a target farther away was probably given in millimetres
-FEW_TURNS = 4.0 * math.pi  # [rad] a larger angle was probably given in degrees
+FAR_AWAY = 50.0  # [arm reaches] A target farther away than this was probably given in millimetres.
+FEW_TURNS = 4.0 * math.pi  # [rad] A larger angle was probably given in degrees.
 DOUBTED: set[str] = set()  # subjects of all warnings about units so far, so that no warning is repeated
-# A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
+# Matches a requirement of an extra in a package's metadata, such as: scipy>=1.10; extra == "tune".
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
@@ -31,7 +31,7 @@ def clean(text: object) -> str:
 
 
 def rebuild(kind: type[BaseException], args: tuple, state: dict[str, Any]) -> BaseException:
-    """Make an exception again from its pickled parts, without its constructor, whose arguments may differ from `args`."""
+    """Make an exception from its pickled parts, without calling its constructor, whose arguments may differ from `args`."""
     made = kind.__new__(kind, *args)
     next(base for base in kind.__mro__ if base.__module__ == "builtins").__init__(made, *args)
     made.__dict__.update(state)
@@ -47,7 +47,7 @@ class Portable(BaseException):
 
 
 class Interrupted(Portable, KeyboardInterrupt):
-    """Base class of the exceptions for Ctrl-C during long work; `result` is the result of the part that was finished before it."""
+    """Base class of the exceptions raised after Ctrl-C during long work; `result` is the result of the part that was finished."""
 
     def __init__(self, result: Any, done: str | None = None) -> None:
         """Keep the result of the finished part; done: how much was done, for the message (default: the message of the result)."""
@@ -72,10 +72,10 @@ class ModelError(IKError, ValueError):
 
 
 class FrameNotFound(IKError, KeyError):
-    """The model has no frame (link) of that name, or a tip must be chosen.
+    """The model has no frame (link) of that name, or has several possible tips and none was named.
 
     Attributes:
-        tips: Names to choose from, if a tip must be chosen.
+        tips: Names to choose from, if none was named.
     """
 
     tips: tuple[str, ...] = ()
@@ -102,7 +102,7 @@ class InvalidOption(IKError, ValueError):
 
 
 class ReadOnlyAttribute(IKError, AttributeError):
-    """An attribute was assigned that cannot be changed after its object is built; the message says what to do instead."""
+    """An attribute was assigned that cannot be changed once its object exists; the message says what to do instead."""
 
 
 class UnknownSolver(IKError, KeyError):
@@ -167,7 +167,8 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
     Raises InvalidOption, "WHAT must be ..., not VALUE", if it is not a whole number or less than `least`.
     """
-    if type(value) is int and least <= value < 2**53:  # accept only whole numbers that a float represents exactly
+    # Only whole numbers that a float represents exactly are accepted, which are those below 2^53.
+    if type(value) is int and least <= value < 2**53:
         return value
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)
@@ -177,7 +178,7 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
 
 def check_progress(progress: Any, of: str) -> None:
-    """Raise InvalidOption unless `progress` is None or can be called; `of` says what it is called with."""
+    """Raise InvalidOption unless `progress` is None or can be called; `of` says what it is called with, for the message."""
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a function of {of}, not {progress!r:.60}")
 
@@ -218,7 +219,10 @@ def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
 
 
 def doubt_lengths(what: str, away: float, reach: float) -> None:
-    """Warn, once for each `what`, that lengths [m] beyond FAR_AWAY times the arm's `reach` may have been meant in millimetres."""
+    """Warn that a length `away` [m] may have been meant in millimetres, if it is beyond FAR_AWAY times the arm's `reach` [m].
+
+    It warns only once for each `what`: what the length is, for the message.
+    """
     if away > FAR_AWAY * reach and what not in DOUBTED:
         DOUBTED.add(what)
         logging.getLogger("ik_toolkit").warning(
@@ -227,7 +231,7 @@ def doubt_lengths(what: str, away: float, reach: float) -> None:
 
 
 def extras() -> dict[str, list[str]]:
-    """Return the packages that each extra of the installed ik_toolkit needs, by name; empty if it runs without being installed."""
+    """Return, for each extra of ik_toolkit (an optional set of dependencies), the packages it needs; {} if not installed."""
     import importlib.metadata  # imported here so that `import ik_toolkit` stays fast
 
     found: dict[str, list[str]] = {}

@@ -19,12 +19,14 @@ from typing import Any, BinaryIO
 from .errors import IKError, InvalidOption, nearest
 
 PARTIAL = ".partial"  # suffix of the file that keeps an incomplete result
-FORMULA = re.compile(r"'*[=+\-@\t\r]")  # how a cell begins that a spreadsheet would run as a formula, also after quotes
-# Arrays may take UNPACKED bytes plus EXPANSION times the size of their compressed file; poses compress to a fifth at best.
+# beginning of a cell that a spreadsheet would run as a formula, also with quotes before it
+FORMULA = re.compile(r"'*[=+\-@\t\r]")
+# The arrays of a file may take UNPACKED bytes plus EXPANSION times the size of the compressed file, so that no small file fills the
+# memory; poses compress to a fifth at best.
 UNPACKED, EXPANSION = 2**26, 20
-NAMES = 2**18  # largest array of names [bytes]
-NUMBERS, TEXTS = "fiu", "U"  # numpy's letters for the kinds of dtype that are accepted as numbers, and as names
-HEADER = 2**16  # largest header of an array [bytes], because numpy reads it before any check
+NAMES = 2**18  # largest array of joint names that is read from a file [bytes]
+NUMBERS, TEXTS = "fiu", "U"  # numpy's letters for the kinds of dtype that are accepted as numbers, and as text
+HEADER = 2**16  # largest part of an array read for its header [bytes], as the header is read before any check
 JSON_BYTES = 20_000_000  # largest JSON file [bytes]; reading takes 20 times as much memory, and 4 s
 
 
@@ -40,7 +42,8 @@ def as_output(value: Any, what: str, *suffixes: str) -> Path:
 
     If there is only one format, a device or pipe (which the shell may name /dev/fd/63) needs no suffix.
     """
-    file, formats = as_path(value, "file"), {*suffixes} - {".xml", ".htm"}  # .xml stands for .urdf, .htm for .html
+    # These suffixes are synonyms: .xml of .urdf, .htm of .html.
+    file, formats = as_path(value, "file"), {*suffixes} - {".xml", ".htm"}
     stream = len(formats) == 1 and (file.is_fifo() or file.is_char_device())
     if file.suffix.lower() not in suffixes and not stream:
         named = " or ".join(filter(None, (", ".join(suffixes[:-1]), *suffixes[-1:])))
@@ -54,7 +57,7 @@ def require_place(path: str | Path) -> None:
     if place.is_dir():
         raise InvalidOption(f"'{file}' is a folder, not a file")
     if file.exists() and not file.is_file():
-        return  # a device or a pipe, which is written directly, without a temporary file
+        return  # A device or a pipe is written directly, without a temporary file.
     missing = next((one for one in reversed(place.parents) if not one.is_dir()), None)
     if missing is not None:
         shown = missing if file.is_absolute() else Path(os.path.relpath(missing))
@@ -72,7 +75,7 @@ def require_place(path: str | Path) -> None:
 
 
 class WholeFile:
-    """A file that is written under a temporary name and gets its own name when `finish` is called.
+    """A file that is written under a temporary name and gets its own name when `finish` is called, so that none is half written.
 
     If the work ends early, the file can be kept under another name, cut off after the last `mark`.
     """
@@ -81,7 +84,7 @@ class WholeFile:
         """Open a temporary file next to `path`, or the device or pipe itself. Raises InvalidOption, OSError."""
         require_place(path)
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to is replaced
+        place = Path(os.path.realpath(path))  # A symbolic link is kept; the file it points to is replaced.
         self._place = place if self.path.is_file() or not self.path.exists() else None
         self.part = self.path if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
@@ -95,7 +98,7 @@ class WholeFile:
         self.mark()
 
     def mark(self) -> None:
-        """Set the position up to which `keep` keeps the file if the work ends early: all that is written so far."""
+        """Mark all that is written so far as complete: `keep` keeps the file up to here if the work ends early."""
         with self.named():
             self.stream.flush()
         if self._place is not None:
@@ -124,7 +127,7 @@ class WholeFile:
             return None
         kept = self.path.with_name(self.path.name + suffix)
         with suppress(OSError):
-            self.stream.close()  # on a full disk this fails again; the incomplete rest is cut off below
+            self.stream.close()  # On a full disk this fails once more; the incomplete end is cut off below.
         try:
             os.truncate(self.part, self._good)
             os.replace(self.part, kept)
@@ -142,7 +145,7 @@ class WholeFile:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Context manager: errors raised in the block name the requested file instead of the temporary one."""
+        """Context manager: errors raised in the `with` block name the requested file instead of the temporary one."""
         try:
             yield
         except OSError as error:
@@ -151,7 +154,7 @@ class WholeFile:
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a binary stream to a file that gets its name if the block succeeds, and is removed if it fails."""
+    """Context manager: open a binary stream to a file that gets its name if the block succeeds, and is removed if it fails."""
     file = WholeFile(path)
     try:
         with file.named():
@@ -163,7 +166,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: str | Path, data: str | bytes) -> None:
-    """Write a file whole or not at all; text is written as UTF-8."""
+    """Write data to a file whole or not at all; text is written as UTF-8."""
     with whole_file(path) as stream:
         stream.write(data.encode() if isinstance(data, str) else data)
 
@@ -171,19 +174,19 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 def inert(text: str) -> str:
     """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # a number such as -0.5 begins like a formula and is none
+        float(text)  # A number such as -0.5 begins like a formula but is none.
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text
 
 
 def without_mark(text: str) -> str:
-    """Return the original text of a cell that `inert` wrote."""
+    """Return the original text of a CSV cell, without the quote that `inert` puts in front."""
     return text[1:] if text.startswith("'") and FORMULA.match(text) else text
 
 
 def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
-    """Write a CSV file of text and of numbers in full precision; the cell of a NaN is empty."""
+    """Write a table to a CSV file: text, and numbers in full precision; the cell of a NaN is empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(inert, head))
@@ -202,7 +205,7 @@ def read_json(path: Path, error: type[IKError]) -> Any:
 
 
 def why_unread(error: Exception) -> str:
-    """Return in one line why a file cannot be read."""
+    """Return one line that says why a file could not be read, given the error that reading raised."""
     if isinstance(error, UnicodeDecodeError):
         return f"it is not UTF-8 text (byte {error.start}); save it as UTF-8"
     if isinstance(error, KeyError):

@@ -8,7 +8,7 @@ from typing import Any
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 3)))
 GREY, PALE = "#6F6F6F", "#E4E4E4"
-GOOD, BAD = "#1b7837", "#b2182b"  # colours of text for solved and not solved, dark enough to read on white
+GOOD, BAD = "#1b7837", "#b2182b"  # colours of the words for solved and not solved, dark enough to read on white
 MUTED = "#4a5766"  # colour of text that is less important
 STYLE: Any = {
     "font.size": 9,
@@ -26,7 +26,7 @@ STYLE: Any = {
     "savefig.dpi": 160,
     "svg.fonttype": "none",
 }
-# Style of the figures in reports, which are shown beside those of the papers.
+# Style of the figures in reports that reproduce papers, where they are shown beside the papers' own figures.
 PRINTED: Any = STYLE | {
     "axes.titlesize": 9,
     "axes.titlelocation": "center",

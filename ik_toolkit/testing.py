@@ -27,12 +27,13 @@ from .solvers.solve import Solver
 from .solvers.status import Status
 
 KINDS = ("pose", "position")
-# Tolerances [m] and [rad] wide enough for slow methods too.
+# Tolerances, position [m] and rotation [rad], wide enough for slow methods too.
 LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}
-SAMPLES = 8  # number of targets for the test of a clause; most faults show at the first one
-SHORT = 20  # a message with fewer characters is not a proper sentence
-ROUNDING = 1e-9  # [m] largest difference from Pinocchio, which computes the kinematics in another order of operations
-ANGLE_ROUNDING = 1e-7  # [rad] largest difference of angles; near the identity an angle has only half of the digits
+SAMPLES = 8  # number of targets for which each clause of the contract is tested; most faults show at the first one
+SHORT = 20  # [characters] A shorter message is not a proper sentence.
+ROUNDING = 1e-9  # [m] largest difference from the pose that Pinocchio computes, with another order of operations
+# [rad] largest difference of angles; near the identity a computed angle has only half of the digits
+ANGLE_ROUNDING = 1e-7
 
 
 def default_robots() -> list[Any]:
@@ -43,7 +44,7 @@ def default_robots() -> list[Any]:
 
 
 def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0) -> None:
-    """Check a solver against the contract on every robot that it accepts.
+    """Check that a solver keeps the contract, what every solver must do, on every robot that it accepts.
 
     Args:
         solver: A registered name, a class marked by `@ik_toolkit.rule` or `@ik_toolkit.closed_form`, or an instance of one.
@@ -71,7 +72,7 @@ def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0
 
 
 def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]:
-    """Yield a case for every robot and kind of target; arms that cannot orient their tip freely get positions only."""
+    """Yield a test case for every robot and kind of target; arms that cannot orient their tip freely get positions only."""
     for robot in robots:
         for kind in KINDS:
             free = all(Asked(arm, (KIND.pose,)).rows == 6 for arm in robot.arms)
@@ -92,11 +93,11 @@ class Case:
         return f"{self.row.name} on {self.robot.name} ({self.kind})"
 
     def claim(self, holds: Any, sentence: str) -> None:
-        """Raise AssertionError with the sentence unless `holds` is true."""
+        """Raise AssertionError with the solver, the robot and the sentence unless `holds` is true."""
         _hold(bool(holds), f"{self}: {sentence}")
 
     def bind(self, **options: Any) -> Solver:
-        """Return the solver bound to the robot, ready for targets of this kind."""
+        """Return the solver under test bound to the robot of this case, ready for targets of this kind."""
         return Solver(self.robot, self.solver, **options)
 
     def fits(self) -> bool:
@@ -132,7 +133,7 @@ class Case:
         return {arm.tip: arm.fk(np.asarray(q)[place]).homogeneous for arm, place in arms}
 
     def left(self, q: np.ndarray, target: Any) -> tuple[float, float | None]:
-        """Return the largest position error [m] and rotation error [rad] of any tip at q (n,); the latter is None for positions."""
+        """Return the largest position [m] and rotation error [rad] of any tip at q (n,); the rotation is None for positions."""
         wanted = target if isinstance(target, dict) else {self.robot.tips[0]: target}
         errors = [_error(T, np.asarray(wanted[tip])) for tip, T in self.poses(q).items()]
         angles = [angle for _, angle in errors if angle is not None]
@@ -140,7 +141,7 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """Solves with wide tolerances (LOOSE) that all clauses share: tuples (target, start, result).
+        """Solve for some targets with wide tolerances (LOOSE), as examples for all tests: tuples (target, start, result).
 
         Half of the starts are near a solution, half are home.
         """
@@ -184,7 +185,7 @@ def _inside(case: Case, q: np.ndarray) -> str:
 
 # ------------------------------------------------------------------------------------------------------------- clauses
 def leaves_arguments_alone(case: Case) -> None:
-    """A call leaves its target and start unchanged."""
+    """Check that a call leaves its target and start unchanged."""
     solver, q = case.bind(**LOOSE), case.robot.random_q(np.random.default_rng(case.seed))
     target, start = case.target(q), case.robot.home.copy()
     before, began = pickle.dumps(target), start.copy()
@@ -194,7 +195,7 @@ def leaves_arguments_alone(case: Case) -> None:
 
 
 def answers_inside_the_limits(case: Case) -> None:
-    """The returned q is finite and inside the joint limits, whether the target is solved or not."""
+    """Check that the returned q is finite and inside the joint limits, whether the target is solved or not."""
     for _, _, result in case.sample:
         joint = _inside(case, result.q)
         case.claim(not joint, f"q is not finite or outside the limits at joint {joint} ({result.status.name})")
@@ -204,7 +205,7 @@ def answers_inside_the_limits(case: Case) -> None:
 
 
 def reports_the_errors_of_its_q(case: Case) -> None:
-    """The reported errors are those of the returned q, according to Pinocchio."""
+    """Check that the reported errors are those of the returned q, according to Pinocchio."""
     for target, _, result in case.sample:
         distance, angle = case.left(result.q, target)
         said = result.position_error
@@ -218,7 +219,7 @@ def reports_the_errors_of_its_q(case: Case) -> None:
 
 
 def succeeds_inside_the_tolerances_only(case: Case) -> None:
-    """Success is reported if and only if both errors are inside their tolerances."""
+    """Check that success is reported if and only if both errors are inside their tolerances."""
     for _, _, result in case.sample:
         inside = result.position_error <= LOOSE["position_tolerance"]
         inside = inside and (result.orientation_error or 0.0) <= LOOSE["orientation_tolerance"]
@@ -228,7 +229,7 @@ def succeeds_inside_the_tolerances_only(case: Case) -> None:
 
 
 def gives_the_same_bytes_again(case: Case) -> None:
-    """The same target, start and seed give exactly the same result and counts again, also with a newly bound solver."""
+    """Check that the same target, start and seed give exactly the same result and counts again, also with a newly bound solver."""
     again = case.bind(**LOOSE)
     for target, start, result in case.sample:
         other = again(target, q0=start)
@@ -241,7 +242,7 @@ def gives_the_same_bytes_again(case: Case) -> None:
 
 
 def solves_an_easy_target(case: Case) -> None:
-    """A solver reaches some target a hundredth of a radian (or metre) away, and takes no step if its start meets the target."""
+    """Check that a solver reaches a target a hundredth of a radian (or metre) away, and takes no step if its start meets it."""
     solver, rng, solved = case.bind(tolerance=1e-3), np.random.default_rng(case.seed), 0
     robot = case.robot
     for _ in range(SAMPLES):
@@ -256,7 +257,7 @@ def solves_an_easy_target(case: Case) -> None:
 
 
 def says_why_it_fails(case: Case) -> None:
-    """A target far out of reach gives a failure status, a finite q, and NotSolved from raise_for_status."""
+    """Check that a target far out of reach gives a failure status, a finite q, and NotSolved from raise_for_status."""
     result = case.bind()(case.target(case.robot.home, moved=(1e3, 2e3, -5e2)))
     case.claim(
         result.status not in (Status.CONVERGED, Status.CHECK_FAILED),
@@ -272,7 +273,7 @@ def says_why_it_fails(case: Case) -> None:
 
 
 def keeps_to_its_budget(case: Case) -> None:
-    """A solver never exceeds max_evaluations, max_iterations and restarts."""
+    """Check that a solver never exceeds max_evaluations, max_iterations and restarts."""
     target = case.target(case.robot.upper * 0.8 + case.robot.lower * 0.2 if _bounded(case) else case.robot.home + 0.7)
     for budget in (1, 2, 5, 40):
         result = case.bind(max_evaluations=budget, tolerance=1e-14)(target)
@@ -292,14 +293,14 @@ def _bounded(case: Case) -> bool:
 
 
 def records_every_evaluation(case: Case) -> None:
-    """With history=True q and errors of every iteration are recorded, and the result is one of them (modulo 2 pi)."""
+    """Check that history=True records q and errors of every iteration, and that the result is one of them (modulo 2 pi)."""
     target = case.target(np.clip(case.robot.home + 0.1, case.robot.lower, case.robot.upper))
     result = case.bind(history=True, restarts=0, max_iterations=20)(target)
     history = result.history
     case.claim(history is not None and len(history["q"]) >= 1, "there is no history")
     assert history is not None
     if not case.row.closed:
-        # The last step of a stalled solve moves nothing and is not evaluated.
+        # The last step of a solve that stalls moves no joint and is not evaluated.
         last = 0 if result.status == Status.STALLED else 1
         case.claim(
             last <= len(history["q"]) - result.iterations <= 1,
@@ -313,9 +314,9 @@ def records_every_evaluation(case: Case) -> None:
 
 
 def holds_joints(case: Case) -> None:
-    """A joint with weight 0 keeps its value from q0, or the solver rejects weights with a message."""
+    """Check that a joint with weight 0 keeps its value from q0, or that the solver rejects weights with a message."""
     robot = case.robot
-    if robot.n == 1:  # a robot whose only joint is held cannot solve anything
+    if robot.n == 1:  # A robot whose only joint is held cannot solve anything.
         return
     weights = np.ones(robot.n)
     weights[-1] = 0.0
@@ -330,7 +331,7 @@ def holds_joints(case: Case) -> None:
 
 
 def solves_batches(case: Case) -> None:
-    """Every row of a batch meets the contract as a single solve does, and one thread and two give exactly the same results."""
+    """Check that every row of a batch keeps the contract, and that one thread and two give exactly the same results."""
     Q = [case.robot.random_q(np.random.default_rng([case.seed, k])) for k in range(SAMPLES)]
     targets = [case.target(q) for q in Q]
     several = isinstance(targets[0], dict)
@@ -345,7 +346,7 @@ def solves_batches(case: Case) -> None:
 
 
 def lists_solutions(case: Case) -> None:
-    """Every solution of `Solver.all` reaches the target inside the limits."""
+    """Check that every solution of `Solver.all` reaches the target inside the limits."""
     target = case.target(case.robot.random_q(np.random.default_rng(case.seed)))
     found = case.bind(max_iterations=100).all(target, starts=20, count=8)
     case.claim(len(found) <= 8, "it lists more solutions than requested")

@@ -16,7 +16,7 @@ from .errors import InvalidOption, InvalidTarget
 
 @functools.cache
 def program() -> str:
-    """Return how to call the command line in a shell: `ik`, or `python -m ik_toolkit` if the shell would not find it."""
+    """Return what to type in a shell to run the command line: `ik`, or `python -m ik_toolkit` if the shell would not find `ik`."""
     if shutil.which("ik"):
         return "ik"
     found = shutil.which("python")
@@ -40,7 +40,7 @@ def first_few(words: Sequence[str], most: int = 5) -> str:
 
 
 def how_many(count: int, noun: str) -> str:
-    """Return a number of things: '1 branch', '2 branches', '0 joints'."""
+    """Return a number of things as text, in the singular or the plural: '1 branch', '2 branches', '0 joints'."""
     return f"{count} {noun}" + ("es" if noun.endswith("ch") else "s") * (count != 1)
 
 
@@ -68,7 +68,7 @@ def _size(value: float, units: str, digits: int) -> str:
 
 
 def equations(values: Mapping[str, float], digits: int = 5) -> str:
-    """Return numbers and their names as text: 'kp = 42.748, kd = 4.3499'."""
+    """Return named numbers as text: 'kp = 42.748, kd = 4.3499'."""
     return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
 
 
@@ -83,7 +83,7 @@ def duration(seconds: float, digits: int = 3) -> str:
 
 
 def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
-    """Return an angle [rad] as text, in degrees or radians; one below a thousandth of these is in urad or nrad."""
+    """Return an angle [rad] as text, in degrees or radians; an angle below a thousandth of these is in urad or nrad."""
     unit = (math.radians(1.0), "deg") if deg else (1.0, "rad")
     if radians and abs(radians) < 1e-3 * unit[0]:
         return _size(1e6 * radians, "urad nrad", digits)
@@ -91,14 +91,14 @@ def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
 
 
 def decimal(text: str, kind: Callable[[str], Any] = float) -> Any:
-    """Return the number in a text, of a kind: float or int. Raises ValueError, also for '1_0' and digits of other scripts."""
+    """Return the number that a text stands for, as a float or int (`kind`). Raises ValueError, also for '1_0' or foreign digits."""
     if not text.isascii() or "_" in text:
         raise ValueError(f"'{text}' is not a number")
     return kind(text)
 
 
 def numbers(text: str) -> list[float] | None:
-    """Return the numbers in a text such as '1 2', '1,2' or '1', None if there are none or there is anything else."""
+    """Return the numbers in a text such as '1 2', '1,2' or '1', or None if it has no numbers or has anything else."""
     try:
         return [decimal(part) for part in text.replace(",", " ").split()] or None
     except ValueError:
@@ -119,7 +119,7 @@ def with_points(text: str) -> str:
 
 
 def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
-    """Return a hint about decimal commas if a text has an allowed count of numbers when its commas are read as decimal, or ''."""
+    """Return a hint about decimal commas for an error message if reading them so gives an allowed count of numbers, else ''."""
     pointed = with_points(text)
     fits = pointed and len(numbers(pointed) or []) in sizes
     return f" (a comma separates numbers); write decimals with a point: {what} {pointed}" if fits else ""
@@ -166,7 +166,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array or number of numpy has `tolist`
+    if hasattr(value, "tolist"):  # Arrays and numbers of numpy have the method `tolist`.
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -200,7 +200,7 @@ class TextTable:
         title = f"<b{style}>{html.escape(self.title)}</b>"
         head = "".join(f"<th>{html.escape(one)}</th>" for one in self.head)
         rows = ""
-        for row in self.rows:  # No line break between a number and its unit.
+        for row in self.rows:  # A non-breaking space keeps a number and its unit on one line.
             cells = (html.escape(one).replace(" ", "&nbsp;" if one[:1].isdigit() else " ") for one in row)
             rows += f"<tr>{''.join(f'<td>{one}</td>' for one in cells)}</tr>"
         notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
@@ -216,10 +216,10 @@ class TextTable:
 
 
 class Tabled:
-    """Base class of results that a notebook and a terminal show as their `table()`."""
+    """Base class of results that a notebook or a terminal shows as a table, which their method `table` makes."""
 
     def table(self) -> TextTable:
-        """Return the table that is shown; each result has its own."""
+        """Return the table that shows this result; each class of results has its own."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:

@@ -8,11 +8,12 @@ import numpy as np
 
 from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
-# numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
+# numpy has a single dtype object for float64, so `is` suffices to recognise it; other dtypes take a slower way.
 FLOAT = np.dtype(np.float64)
-LATE = 5.0  # a step may be longer than the first one by this factor; one that is longer still is divided, so that limits are kept
-MOST_PARTS = 100_000  # largest number of parts of a step; that many take some seconds
-# By value of an option, the one function that accepts it, which the error messages of others name.
+# factor by which a control step may be longer than the first one; a longer step is divided, so that limits are kept
+LATE = 5.0
+MOST_PARTS = 100_000  # largest number of parts into which a control step is divided; that many take some seconds
+# The one function that accepts a special value of an option, by value; error messages of other functions name it.
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 
@@ -26,7 +27,7 @@ def number(value: Any, name: str) -> float:
 
 def positive(value: Any, name: str) -> float:
     """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is not."""
-    # a shortcut for floats, because this check runs in every control step
+    # A shortcut for floats, because this check runs in every control step.
     found = value if type(value) is float else number(value, name)
     if not 0.0 < found < math.inf:
         raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
@@ -41,7 +42,7 @@ def not_negative(value: Any, name: str) -> float:
 
 
 def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
-    """Return in how many parts, none longer than `longest` [s], a step of dt [s] is taken.
+    """Return the number of parts, none longer than `longest` [s], into which a control step of dt [s] is divided.
 
     given: whether the caller chose `longest` as dt_max, so that it does not follow from the first step.
 
@@ -54,14 +55,14 @@ def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
 
 
 def switch(value: Any, name: str) -> bool:
-    """Return a value that is True or False. Raises InvalidOption for anything else, as text such as "no" would count as true."""
+    """Return a value if it is True or False, else raise InvalidOption, because text such as "no" would count as true."""
     if not isinstance(value, bool | np.bool_):
         raise InvalidOption(f"{name} is True or False, not {value!r:.60}")
     return bool(value)
 
 
 def one_of(value: Any, names: Iterable[str], what: str) -> str:
-    """Return a name that is among `names`. Raises InvalidOption, "no WHAT 'VALUE'", with a near match, if it is not."""
+    """Return a name if it is among `names`. Raises InvalidOption, "no WHAT 'VALUE'", with a near match, if it is not."""
     if not (isinstance(value, str) and value in names):
         taken_by = ELSEWHERE.get(what, {}).get(str(value))
         meant = f"; '{value}' is for {taken_by}" if taken_by else ""
@@ -70,7 +71,7 @@ def one_of(value: Any, names: Iterable[str], what: str) -> str:
 
 
 def rates(robot: Any, rate0: Any) -> np.ndarray:
-    """Return the joint rates (n,) at the start of a motion [rad/s or m/s]. Raises InvalidConfiguration if they do not fit."""
+    """Return joint rates at the start of a motion as an array (n,) [rad/s or m/s]; InvalidConfiguration if they do not fit."""
     found = robot._values(rate0, "rate0")
     if not np.isfinite(found).all():
         raise InvalidConfiguration(f"rate0 must be finite, not {found}")

@@ -27,12 +27,16 @@ from numba.np.arrayobj import populate_array
 
 from .jit import BUILD, INLINE, inline
 
-LINE = 8  # A cache line and the widest SIMD register hold this many float64, so arrays in scratch memory begin at multiples of it.
+# number of float64 in a cache line, and in the widest SIMD register; arrays in scratch memory begin at multiples of it
+LINE = 8
 WORD = ir.IntType(64)  # the LLVM type of lengths and indices
 
 
 class View(types.Type):
-    """The numba type of a view: a pointer to numbers of one type without gaps between them, and one to four lengths."""
+    """The numba type of a view, which compiled code uses in place of an array because it needs no reference counting.
+
+    It is a pointer to numbers of one type without gaps between them, and one to four lengths.
+    """
 
     def __init__(self, dtype: Any, ndim: int) -> None:
         self.dtype, self.ndim = dtype, ndim
@@ -47,7 +51,7 @@ class _ViewModel(models.StructModel):
 
 
 def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list]:
-    """Write code that takes a view or an array apart; return the LLVM values of its data pointer and of its lengths."""
+    """Write LLVM code that reads the data pointer and the lengths of a view or an array; return the LLVM values of both."""
     if isinstance(kind, View):
         return builder.extract_value(value, 0), cgutils.unpack_tuple(builder, builder.extract_value(value, 1))
     array = context.make_array(kind)(context, builder, value)
@@ -129,7 +133,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # The end of a slice such as A[i:] is the largest integer in numba, so it is cut to the length.
+    # In a slice without an end, such as A[i:], numba sets the end to the largest integer, so it is reduced to the length here.
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
@@ -151,7 +155,7 @@ def _shape(context, builder, kind, value):
 
 # ------------------------------------------------------------------------------------------------------------ making views
 def view(A):
-    """Return a view (pointer and shape, without reference counting) of a C-contiguous array, or a given view itself."""
+    """Return a view of a C-contiguous array: its pointer and shape, without reference counting. A view is returned as it is."""
     return A
 
 
@@ -171,7 +175,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Keep the memory of array A until this call: a view of A is not a counted reference, so numba could free A earlier."""
+    """Keep array A alive until this call. A view of A is not a counted reference, so numba could otherwise free A earlier."""
 
 
 @overload(keep, jit_options=INLINE)
@@ -204,7 +208,7 @@ def _as_flat(typing, A):
 
 
 def fold(A, kind, n, m):
-    """Read the memory of a view A (K,) as numbers of type `kind`; return the first n * m of them as a view (n, m)."""
+    """Return a view (n, m) of the first n * m numbers in the memory of a view A (K,), read as numbers of type `kind`."""
     return A.view(kind)[: n * m].reshape(n, m)
 
 
@@ -236,10 +240,11 @@ def space(n, m, L, N):
 
 
 def cut(block, kind, shapes):
-    """Allocate arrays from a block of scratch memory; return them as a tuple (views if the block is a view), not initialised.
+    """Allocate arrays from a block of scratch memory, without setting their numbers; return them as a tuple.
 
-    block (K,) is of float64. Its first number counts the numbers already allocated; the caller sets it to 0 once. Each of `shapes`
-    is a length or a tuple of lengths, and `kind` is the type of the numbers. Raises MemoryError if the block is too short.
+    The arrays are views if the block is a view. block (K,) is of float64. Its first number counts the numbers already allocated;
+    the caller sets it to 0 once. Each of `shapes` is a length or a tuple of lengths, and `kind` is the type of the numbers. Raises
+    MemoryError if the block is too short.
     """
     made = []
     for shape in shapes:
@@ -258,7 +263,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-# Arrays cut from an array are counted references to its memory, which INLINE could not compile.
+# Arrays that are cut from an array count references to its memory, which functions compiled with INLINE cannot do.
 @overload(cut, jit_options=BUILD)
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)

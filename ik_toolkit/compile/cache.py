@@ -39,19 +39,19 @@ saying: dict[str, Any] = {"timer": None, "said": False}
 
 
 class MemoryCache(NullCache):
-    """Stands in for the disk cache of a function that must be compiled in every process: logs each compilation, stores nothing."""
+    """Replaces the disk cache of a function whose machine code cannot be stored on disk: logs each compilation, stores nothing."""
 
     def __init__(self, what: str, why: str) -> None:
         """Take two texts for the log: the name of what is compiled, and why it cannot be kept."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Tell numba that no compiled version is stored, by returning None, and log that it is compiled now, and why."""
+        """Return None, which tells numba that no compiled version is stored; log that the function is compiled now, and why."""
         compiling(self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
-    """Keeps the compiled versions of one function, one per set of argument types, in a file each, in a folder numba chooses."""
+    """Stores the machine code of one function on disk, in a folder that numba chooses: a file for each set of argument types."""
 
     def __init__(self, function: Any, what: str, stamp: str) -> None:
         """Take a function, its name for the log, and a hash of all its sources, which becomes a part of the key.
@@ -65,7 +65,10 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """Return the file for a key (argument types, source hash, versions); its name also has a hash of the files in STAMPED."""
+        """Return the cache file for a key of numba (argument types, source hash, versions).
+
+        Its name also has a hash of the files in STAMPED, so that it changes with any of them.
+        """
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
@@ -88,7 +91,7 @@ class DiskCache(FunctionCache):
                 return self._impl.rebuild(target_context, payload)
         except FileNotFoundError:
             pass
-        except Exception as error:  # The file may be damaged in any way; the kernel is then compiled instead.
+        except Exception as error:  # A damaged file may raise any error; the kernel is then compiled instead.
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         compiling(self.what, "first use on this machine, up to half a minute", Path(self._cache_path))
         return None
@@ -123,15 +126,15 @@ def _say(what: str, why: str) -> None:
 
 
 def made() -> None:
-    """Cancel the warning that `compiling` prepared, because the compilation has ended."""
+    """Cancel the warning about a long compilation that `compiling` prepared, because the compilation has ended."""
     if saying["timer"] is not None:
         saying["timer"].cancel()
         saying["timer"] = None
 
 
-@functools.cache  # The cache lets the warning appear only once in a process for each folder and reason.
+@functools.cache  # `functools.cache` lets the warning appear only once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
-    """Log a warning, for the reason `why`, that compiled functions cannot be stored in a folder, so each process compiles again."""
+    """Log a warning that compiled functions cannot be stored in a folder, and why, so that each process compiles them again."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
@@ -177,7 +180,7 @@ def _is_own_group(group: int) -> bool:
 
 
 def content(path: Path) -> bytes:
-    """Return the body of a cache file, without header and hash; ValueError if it is damaged or another user could write it."""
+    """Return the body of a cache file, without header and hash. Raises ValueError if it is damaged or others could write it."""
     with path.open("rb") as file:
         if why := _open_to_others(os.fstat(file.fileno())):
             raise ValueError(why)
@@ -209,7 +212,7 @@ def _whole(path: Path) -> bool:
 
 
 def write_body(path: Path, body: bytes) -> None:
-    """Write a cache file of this body, whole or not at all; then remove cache files made from older sources beside it."""
+    """Write a cache file with the given body, whole or not at all; then remove cache files made from older sources beside it."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
@@ -221,7 +224,7 @@ def write_body(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # The cache makes this run only once in a process for each folder.
+@functools.cache  # `functools.cache` makes this run only once in a process for each folder.
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:
@@ -280,7 +283,8 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        # In a call module.name() the name counts as unbound, so every unbound name is looked up in every module used.
+        # In a call module.name(), Python lists the name as unbound, so every unbound name is looked up in all modules that are
+        # used.
         values += [vars(module).get(name) for module in modules for name in found.unbound]
         for value in values:
             ours = inspect.isfunction(value) and value.__module__.startswith(__name__.partition(".")[0] + ".")

@@ -22,8 +22,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import made, make_cache
 
-# pipeline.py, which uses private interfaces of numba, was tested with these releases (by scripts/try_numba.py).
-# With any other release the standard compiler of numba is used, which is slower.
+# pipeline.py uses private interfaces of numba, and was tested with these releases of it (by scripts/try_numba.py). With any other
+# release the standard compiler of numba is used, which is slower.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 
@@ -41,7 +41,8 @@ def made_by(pipeline: str) -> dict[str, Any]:
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 # Functions with `jit` may be called by Python and by compiled code; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
-# All options and decorators below, up to `spliced`, are for functions that only compiled code calls; Python would crash.
+# All options and decorators from here to `spliced` are for functions that only compiled code calls; Python would crash calling
+# them.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 # INLINE turns off reference counting (_nrt), so functions compiled with it must not allocate arrays.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **made_by("PartPipeline"))
@@ -52,7 +53,8 @@ inner = njit(**{**BARE, **made_by("CalledPipeline")})
 # Functions with `inline` are copied into every caller, which is best for small code and for arguments that are large records.
 inline = njit(**INLINE)
 build = njit(**BUILD)  # `build` is like `inline`, for functions that allocate arrays
-# `spliced` is for large functions with a single caller: numba inserts them there, so that LLVM does not optimise them twice.
+# `spliced` is for large functions with a single caller: numba inserts them into it before LLVM, which then optimises them only
+# once.
 spliced = njit(inline="always", **BARE)
 # Functions with `shared` are inlined into compiled code, and run uncompiled when Python calls them.
 shared = register_jitable(**INLINE)
@@ -62,8 +64,8 @@ shared = register_jitable(**INLINE)
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # by method name and class: the methods that compiled code may call
-FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
+METHODS: dict[str, dict[type, Callable]] = {}  # the methods that compiled code may call, by method name and class
+FIELDS: set[str] = set()  # field names of all classes marked by the decorator `compiled`
 
 
 def compiled(cls: type) -> type:
@@ -110,7 +112,7 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
     file in the folders `kernel` and `compile`. `pipeline` names a compiler class of pipeline.py.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **made_by(pipeline))(function)
-    if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
+    if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 numba returns the plain Python function.
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = noting_time(dispatcher._compile_for_args)
     return dispatcher
@@ -124,7 +126,7 @@ def cached_small(function: Callable, *parts: Any) -> Any:
 def dual(function: Callable) -> Any:
     """Decorator: compile a function that allocates no arrays by `cached` for Python, and again for callers in compiled code."""
     dispatcher = cached(function)
-    if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
+    if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 numba returns the plain Python function.
         part = njit(**BARE)(function)
         dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
     return dispatcher
@@ -147,7 +149,7 @@ def compile_time(since: float, everywhere: bool = False) -> float:
 
 
 def noting_time(compile_for: Callable) -> Callable:
-    """Wrap the method by which numba compiles: add its times to `waits`, and pause the garbage collector, which saves 10 %."""
+    """Wrap numba's method to compile, so that its times are noted in `waits` and the garbage collector pauses (saves 10 %)."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:

@@ -25,7 +25,10 @@ from numba.core.typed_passes import NativeLowering
 
 
 class Whole:
-    """Base of data models that pass a NamedTuple to a function as one LLVM argument; numba would pass each number separately."""
+    """Base of numba data models that pass a NamedTuple to a function as one LLVM argument, so that kernels compile faster.
+
+    numba would pass each number separately.
+    """
 
     def get_argument_type(self) -> Any:
         return self.get_value_type()  # pyright: ignore[reportAttributeAccessIssue]
@@ -38,7 +41,7 @@ class Whole:
 
 
 def record_model(general: type) -> Any:
-    """Return a function that makes the LLVM data model of a NamedTuple: `general`, with `Whole` for classes of this package."""
+    """Return a function that makes numba's data model of a NamedTuple class: `general`, with `Whole` for our own classes."""
     package = __name__.partition(".")[0]
     own: Any = type("RecordModel", (Whole, general), {})
     return lambda manager, kind: (
@@ -51,12 +54,15 @@ default_manager.register(types.NamedUniTuple, record_model(UniTupleModel))
 
 
 class PartConvention(CPUCallConv):
-    """Calling convention inside kernels: a function that fails stores its exception for the Python wrapper of the kernel."""
+    """Calling convention for functions that only compiled code calls, with less LLVM code for each call than numba's own.
+
+    A function that fails stores its exception where the kernel's Python wrapper finds it.
+    """
 
     def call_function(
         self, builder: Any, callee: Any, resty: Any, argtys: Sequence, args: Sequence, attrs: Any = None
     ) -> tuple[Status, Any]:
-        """Write a call that hands on the place for an exception; return the LLVM values of status and result."""
+        """Write the LLVM code of a call, which hands on the place for an exception; return the LLVM values of status and result."""
         if isinstance(resty, types.Optional):
             return super().call_function(builder, callee, resty, argtys, args, attrs)
         place = self._get_return_argument(callee.function_type).pointee
@@ -69,14 +75,14 @@ class PartConvention(CPUCallConv):
         return status, self.context.get_returned_value(builder, resty, builder.load(slot))
 
     def return_status_propagate(self, builder: Any, status: Status) -> None:
-        """Write code by which a function returns the error code of a failed call to its own caller."""
+        """Write LLVM code by which a function returns the error code of a failed call to its own caller."""
         if status.excinfoptr is not None:
             builder.store(status.excinfoptr, self._get_excinfo_argument(builder.function))
         self._return_errcode_raw(builder, status.code)
 
 
 class PartContext(CPUContext):
-    """The target context of numba, in which calls follow PartConvention."""
+    """numba's target context (what it knows of the processor), changed so that calls follow PartConvention."""
 
     call_conv = property(PartConvention)
 
@@ -98,7 +104,8 @@ class PartLower(Lower):
         before = graph.dominators()
         free = {name for name, found in homes.items() if len(found) == 1} - must_use_alloca(blocks)
         for label, names in used.items():
-            # LLVM code is written block by block in the order of labels, so a variable must be set in a block written earlier.
+            # LLVM code is written block by block in the order of their labels, so a variable must be set in a block written
+            # earlier.
             free -= {name for name in names & free if homes[name][0] >= label or homes[name][0] not in before[label]}
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
@@ -113,7 +120,10 @@ class PartLower(Lower):
             self.builder.store(value, self.getvar(name))
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
-        """Write the LLVM code of an expression; for a `range` with step 1 without the division by which numba finds its length."""
+        """Write the LLVM code of an expression.
+
+        For a `range` with step 1, the division by which numba finds its length is left out.
+        """
         if expr.op in ("getiter", "iternext"):
             kind = self.typeof(expr.value.name)
             value = self.loadvar(expr.value.name)
@@ -154,7 +164,7 @@ class PartLower(Lower):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class PartLowering(NativeLowering):
-    """The compiler pass that writes LLVM code by PartLower, for functions that only compiled code calls."""
+    """The compiler pass of numba that writes LLVM code, here by PartLower, for functions that only compiled code calls."""
 
     _name = "part_lowering"
     lowering_class = property(lambda self: PartLower)

@@ -26,17 +26,20 @@ from numba.core.typed_passes import NativeLowering
 
 from .lowering import PartContext, PartLowering
 
-everything = PostProcessor.run  # the original method, which `in_order` replaces while a kernel is compiled
+everything = PostProcessor.run  # numba's original method, which `in_order` replaces while a kernel is compiled
 # Timers that llvmlite notifies of every call of LLVM. numba adds one for each function being compiled, and one kernel takes some
-# 20,000 calls, so the list is emptied meanwhile.
+# 20,000 calls, so the list is emptied while a kernel is compiled.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """Runs the compiler passes of numba for one function, without the events, timers and checks that numba adds to each."""
+    """Runs the compiler passes of numba for one function faster: without the events, timers and checks that numba adds to each."""
 
     def run(self, state: Any) -> None:
-        """Run all passes on `state`, the function being compiled; sort its blocks after each pass that changed the control flow."""
+        """Run all passes on `state`, the function being compiled.
+
+        Its basic blocks are sorted after each pass that has changed the control flow.
+        """
         for kind, _ in self.passes:
             known = _pass_registry.get(kind)
             step = known.pass_inst
@@ -49,7 +52,10 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Replace PostProcessor.run of numba: sort the blocks; liveness analysis only where generators or reference counts need it."""
+    """Replacement for numba's PostProcessor.run that leaves out liveness analysis where it is not needed, to compile faster.
+
+    It is needed only for generators and reference counts; otherwise the basic blocks are only sorted.
+    """
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:
@@ -63,9 +69,9 @@ def size_of(target: Any, kind: Any) -> int:
 
 
 def remembered(function: Callable) -> Callable:
-    """Return a function that caches the results of `function` (except None) by the identity of its arguments.
+    """Return `function` with a cache of its results (except None), looked up by the identity of the arguments.
 
-    The arguments are types, of which numba has a single object each. Comparing types of nested NamedTuples by value would take
+    The arguments are types of numba, each of which is a single object. Comparing types of nested NamedTuples by value would take
     long.
     """
     known: dict[tuple, tuple] = {}
@@ -74,7 +80,7 @@ def remembered(function: Callable) -> Callable:
         key = tuple(map(id, arguments))
         found = known.get(key)
         if found is None:
-            # The arguments are kept alive, so that no other object gets the same identity.
+            # The arguments are kept alive, so that no other object gets the same identity in their place.
             found = function(*arguments), arguments
             if found[0] is not None:
                 known[key] = found
@@ -85,12 +91,14 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """Context in which type inference caches its results (function overloads, attributes of NamedTuples) for one kernel.
+    """Context manager: let numba's type inference cache its results while one kernel is compiled, which is faster.
 
-    `typing` is the typing context of numba. The caller holds the compiler lock of numba, so nothing else is compiled meanwhile. The
-    cache is emptied afterwards, because functions may be redefined before the next kernel is compiled.
+    The results are overloads of functions and attributes of NamedTuples. `typing` is the typing context of numba. The caller holds
+    the compiler lock of numba, so nothing else is compiled meanwhile. The cache is emptied afterwards, because functions may be
+    redefined before the next kernel is compiled.
     """
-    if "resolve_function_type" in vars(typing):  # A kernel that is compiled while another one is uses the same cache.
+    # A kernel whose compilation begins during that of another one uses the same cache.
+    if "resolve_function_type" in vars(typing):
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -120,12 +128,13 @@ def remembering(typing: Any) -> Iterator[None]:
         del typing.resolve_function_type, typing.find_matching_getattr_template
 
 
-# LLVM's level of optimisation. Level 3 takes three times as long and makes kernels no faster (scripts/benchmarks/against.py).
+# LLVM's level of optimisation (0 to 3). Level 3 takes three times as long and makes kernels no faster
+# (scripts/benchmarks/against.py).
 LEVEL = 1
 
 
 class PartLibrary(JITCodeLibrary):
-    """LLVM code of one function that only compiled code calls, without the functions that it calls itself.
+    """Holds the LLVM code of one function that only compiled code calls, without the code of the functions it calls.
 
     The code is simplified, which is fast while it is short, but not yet optimised: that is done once, for the whole kernel (the
     compiled function that Python calls), when all its functions are linked.
@@ -151,7 +160,7 @@ class PartLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """Close the library without linking the functions that it calls, because each of them is linked once into the kernel."""
+        """Close the library, without linking the functions that it calls: each of them is linked once into the whole kernel."""
         self._raise_if_finalized()
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -168,9 +177,12 @@ class PartLibrary(JITCodeLibrary):
 
 
 class KernelLibrary(JITCodeLibrary):
-    """Code of a function that Python calls, into which every compiled function that it needs is linked once and then optimised."""
+    """Holds the code of a kernel, a function that Python calls.
 
-    # Without these optimisations of LLVM the solvers are as fast, and each solver but the first compiles in two thirds of the time.
+    Every compiled function that the kernel needs is linked into it once, and the whole is then optimised.
+    """
+
+    # Leaving out these LLVM optimisations makes no solver slower, and all solvers but the first compile in two thirds of the time.
     left_out: tuple[str, ...] = ("loop_interleaving", "slp_vectorization")
 
     def finalize(self) -> None:
@@ -195,7 +207,7 @@ class KernelLibrary(JITCodeLibrary):
 
 
 class SmallLibrary(KernelLibrary):
-    """Code of a long function that Python calls, whose loops over the joints of a robot are neither unrolled nor vectorised.
+    """Holds the code of a long kernel (a function that Python calls) whose loops are neither unrolled nor vectorised.
 
     Unrolling and vectorising would double the code of a tracker or a path search without making it faster. The solvers become a
     fifth faster by them, so their code is a KernelLibrary.
@@ -205,7 +217,10 @@ class SmallLibrary(KernelLibrary):
 
 
 def link(module: Any, libraries: list) -> None:
-    """Link libraries and all functions that they call into a module, callers first, as LLVM drops functions not called so far."""
+    """Link libraries and all functions that they call into an LLVM module.
+
+    Callers come first, because LLVM drops a function that nothing in the module calls so far.
+    """
     order: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
@@ -222,7 +237,7 @@ def link(module: Any, libraries: list) -> None:
 
 
 class CalledLibrary(PartLibrary):
-    """LLVM code of a function marked as never inlined; LLVM would otherwise inline even a long one that has a single caller."""
+    """Holds the LLVM code of a function marked as never inlined; LLVM would inline even a long one that has a single caller."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         for function in ll_module.functions:
@@ -236,17 +251,18 @@ OWN = {"forceinline", "dbg_optnone"}
 
 
 class FastFlags(Flags):
-    """Compiler options of a function, compared faster than numba does: only options that were set are compared, not all fifty.
+    """numba's compiler options of a function, compared faster: only options that were set are compared, not all fifty.
 
-    numba compares options whenever it looks for an overload, which is for every operator of every function. The options in OWN
-    are not compared, so that inlined functions and called functions share one compiled copy of a method that both use.
+    numba compares options whenever it looks for an overload, which is for every operator of every function. The options in OWN are
+    not compared, so that inlined functions and called functions share one compiled copy of a method that both use.
     """
 
     def values(self) -> dict:
         return self._values
 
     def __hash__(self) -> int:
-        return hash(FastFlags)  # A constant is enough, because a key of numba also has the types of the call.
+        # The hash may be the same for all options, because numba's keys also have the types of the call, which differ.
+        return hash(FastFlags)
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, FastFlags) and self._shared() == other._shared()
@@ -255,7 +271,7 @@ class FastFlags(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes of numba for `with`, comprehensions, closures and `try`, which functions that only compiled code calls do not use.
+# Compiler passes of numba for `with`, comprehensions, closures and `try`, which functions that only compiled code calls do not use.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",
@@ -264,10 +280,10 @@ UNNEEDED = {
 
 
 class PartPipeline(Compiler):
-    """Compiles a function that only compiled code calls; the LLVM code goes into a PartLibrary."""
+    """numba compiler for a function that only compiled code calls; the LLVM code goes into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # the pass manager, made once and used for all functions
+    passes: ClassVar[list] = []  # the list of compiler passes, made once and used for all functions
 
     def define_pipelines(self) -> list:
         """Return a list with one pass manager: that of numba without the passes in UNNEEDED, and with PartLowering."""
@@ -281,7 +297,7 @@ class PartPipeline(Compiler):
         return PartPipeline.passes
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a Python function without the wrapper by which Python would call it; return the result as numba does."""
+        """Compile a Python function without the wrapper by which Python would call it; return what numba's own method returns."""
         state = self.state
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = FastFlags(state.flags)
@@ -299,13 +315,13 @@ class PartPipeline(Compiler):
 
 
 class CalledPipeline(PartPipeline):
-    """Compiles a function that only compiled code calls and that is never inlined; the LLVM code goes into a CalledLibrary."""
+    """numba compiler for a function that only compiled code calls and is never inlined; the code goes into a CalledLibrary."""
 
     library = CalledLibrary
 
 
 class KernelPipeline(Compiler):
-    """Compiles a function that Python calls; the code goes into a KernelLibrary."""
+    """numba compiler for a kernel, a function that Python calls; the code goes into a KernelLibrary."""
 
     library = KernelLibrary
 
@@ -317,6 +333,6 @@ class KernelPipeline(Compiler):
 
 
 class SmallPipeline(KernelPipeline):
-    """Compiles a function that Python calls into a SmallLibrary, in which loops are neither unrolled nor vectorised."""
+    """numba compiler for a function that Python calls, without unrolling or vectorising loops (see `SmallLibrary`)."""
 
     library = SmallLibrary

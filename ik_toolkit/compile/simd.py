@@ -20,8 +20,8 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-# A SIMD vector has this many float64, which fill two registers of AVX2 or one of AVX-512. With four, AVX2 would do less work at
-# a time without being faster, because the processor mostly waits for the results of earlier operations.
+# Number of float64 in a SIMD vector, which fill two registers of AVX2 or one of AVX-512. With four, AVX2 would do less work at a
+# time without being faster, because the processor mostly waits for the results of earlier operations.
 WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)

@@ -65,7 +65,7 @@ class M3(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
     def across(self, v):
-        """Return M' v, the transpose of the matrix times the vector v."""
+        """Return M' v, the product of the transposed matrix and the vector v."""
         return V3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
 
@@ -183,7 +183,7 @@ class Blocks(NamedTuple):
         return Blocks(self.P.plus(a, u), M3(Q.x + b * u.x, Q.y + b * u.y, Q.z + b * u.z), self.S.plus(b, v))
 
     def solve(self, a, b):
-        """Return both halves (V3) of the solution for the right side [a; b], found with the Schur complement of S."""
+        """Solve the 6x6 system for the right side [a; b] by the Schur complement of S; return both halves (V3) of the solution."""
         P = self.P
         inner = self.S.factors()
         x, y, z = inner.forward(self.Q.x), inner.forward(self.Q.y), inner.forward(self.Q.z)
@@ -314,6 +314,6 @@ def rotation_left(now, goal):
 @inline
 def chord(angle):
     """Return |2 sin(angle/2)|^2, the largest squared rotation error that a tolerance of this angle [rad] allows."""
-    # An error of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
+    # From half a turn on, every rotation is allowed: 3 exceeds 2 sin(angle/2), which is at most 2.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

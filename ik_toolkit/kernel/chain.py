@@ -161,10 +161,10 @@ def start_range(
 
 
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
-    """Return features (13, N + PAD) of configurations `seeds` (N, n), which `starts.nearest_seeds` compares with a target.
+    """Return a table (13, N + PAD) by which the precomputed starts nearest to a target are found, a column for each of `seeds`.
 
-    The features are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, each with a
-    factor. Their scalar product with a target's pose is thus a squared distance, up to a constant.
+    The features in a column are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position,
+    each with a factor. Their scalar product with a target's pose is thus a squared distance, up to a constant.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -181,9 +181,9 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 def coordinate_numbers(
     lower: np.ndarray, upper: np.ndarray, home: np.ndarray, slides: np.ndarray, turns: np.ndarray, scale: float
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
-    """Return the units (n,) of coordinates, their seven properties in `records.Ends`, and the range of starts, low and high (n,).
+    """Return what a chain stores about its n coordinates: units (n,), seven arrays (n,) for `records.Ends`, and ranges of starts.
 
-    lower, upper, home (n,) [rad or m]; slides, turns (n,): whether a coordinate is a length, and whether it may wrap by 2 pi.
+    slides, turns (n,): whether a coordinate is a length, and whether it may wrap by 2 pi; lower, upper, home (n,) [rad or m].
     """
     unit = np.where(slides, scale, 1.0)
     low, high = start_range(lower / unit, upper / unit, slides, turns)
@@ -197,7 +197,8 @@ def resize(rows: np.ndarray, slides: np.ndarray, factor: float) -> None:
     """Multiply all lengths in the geometry `rows` (L, 10) by a factor, in place; slides (n,): whether a coordinate is a length."""
     rows[:, [2, 3, 7]] *= factor
     follows = ~slides[rows[:, 8].astype(int)] & (rows[:, 9] == 0.0)
-    rows[follows, 6] *= factor  # The ratio of a prismatic joint that mimics a revolute one is a length per radian.
+    # A prismatic joint that mimics a revolute one moves by a length per radian, so its ratio is scaled as well.
+    rows[follows, 6] *= factor
 
 
 def lengths_only(rows: np.ndarray, n: int) -> np.ndarray:
@@ -206,7 +207,7 @@ def lengths_only(rows: np.ndarray, n: int) -> np.ndarray:
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Return the six bounds listed at `records.Ends.bound` for coordinates within lower, upper (n,); tip (12,): as for `pack`."""
+    """Return six bounds on where an arm can reach with coordinates within lower, upper (n,); see `records.Ends.bound`."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -215,7 +216,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return a lower bound on the distance of a chain's ends: its longest part less all others at their longest, `rest`."""
+        """Return a lower bound on the distance between the ends of a chain: its longest part minus the others at their longest."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -228,7 +229,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` whose bounds on the reach hold without joint limits; prismatic joints then reach any distance."""
+    """Return a copy of `ends` (`records.Ends`) whose bounds on the reach hold even if joint limits are ignored."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
@@ -236,7 +237,7 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
 
 
 def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` in which joints with limits never wrap, even if their range exceeds 2 pi; endless joints still do."""
+    """Return a copy of `ends` (`records.Ends`) in which joints with limits never wrap by 2 pi; endless joints still do."""
     ends = ends.copy()
     turns = ends[..., POINTS + 2 * n : POINTS + 3 * n]
     turns[turns == 1.0] = 0.0
@@ -314,7 +315,7 @@ def joint_levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # number of precomputed starts for several tips; the joints of each tip start at a row chosen for this tip
+ROWS = 2048  # number of precomputed starts of a robot with several tips, where each tip chooses the row from which its joints start
 
 
 class TreeChain(NamedTuple):
@@ -331,7 +332,8 @@ class TreeChain(NamedTuple):
     upper: Array  # (n,) upper limits [rad or m]
     scale: float  # internal unit of length [m], a power of two near the reach
 
-    plain = False  # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.
+    # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.
+    plain = False
 
     @property
     def turns(self) -> Array:

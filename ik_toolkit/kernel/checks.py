@@ -24,12 +24,12 @@ class StatusCodes(NamedTuple):
     singular: int = 5
     not_finite: int = 6
     check_failed: int = 7
-    # The target or the start is invalid: Python examines it and raises, so users never see these two.
+    # The next two codes say that the target or the start is invalid. Python then raises an error, so users never see them.
     bad_target: int = 8
     bad_start: int = 9
     too_far: int = 11
-    # An attempt that has no final status yet has one of these: going (it continues), still (no joint moves any more;
-    # `search.conclude` finds out why) or known (it has come near the best minimum found so far).
+    # States of an attempt that has no final status yet: it goes on; it stands still, because no joint moves any more
+    # (`search.conclude` finds out why); or it has come near the best minimum known so far.
     going: int = -1
     still: int = -2
     known: int = -3
@@ -44,14 +44,15 @@ class PoseThresholds(NamedTuple):
 
 
 class ProofThresholds(NamedTuple):
-    """Thresholds for the status of an attempt: target out of reach, singular, or blocked by limits."""
+    """Thresholds by which a failed attempt is explained: target out of reach, singular pose, or blocked by joint limits."""
 
-    # A target counts as unreachable only if it is out of reach by more than this [lengths over the reach], which exceeds rounding.
+    # A target is proven unreachable only if it is out of reach by more than this [arm reaches], which exceeds rounding.
     reach_slack: float = 1e-9
-    # With a tolerance of this or more [rad] on the rotation, a target does not say where the last joint has to be.
+    # If the rotation tolerance is this wide or wider [rad], the target does not determine where the last joint has to be.
     wide: float = 2.0
     unseen: float = 1e-16  # If |J' e|^2 is at most this share of |J|^2 |e|^2 (rounding), no joint changes the error e.
-    # Limits block an attempt if the joints that can still move have less than this share of the squared gradient.
+    # An attempt is blocked by limits if the joints that can still move have less than this share of the squared gradient of the
+    # error.
     blocked: float = 1e-4
 
 
@@ -64,7 +65,7 @@ def ring(p, reach, hole, ends, slack):
 
     The arm reaches points whose distance from its base is between `hole` and `reach`; both bounds are relaxed by `slack`. The base
     may itself be mounted on a vertical prismatic joint, whose range is in `ends` (Ends). p (V3): the point in the first joint's
-    frame. All lengths are over the reach.
+    frame. All lengths are divided by the arm's reach.
     """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)
@@ -75,12 +76,12 @@ def ring(p, reach, hole, ends, slack):
 
 @inner
 def beyond(goal, ends, task, tol_p, tol_r):
-    """Return the length [over the reach] by which a target is proven out of reach, 0 if nothing is proven.
+    """Return the length [arm reaches] by which a target is proven out of reach, 0 if nothing is proven.
 
-    Two points must be in reach to within the tolerances: the target's point, and the position of the last joint. The latter follows
-    from the target's rotation (except for the part of the tool normal to an axis about which the rotation is free), and the arm
-    without its tool must reach it. goal: (GOAL,) target, as `problem.take` writes it; ends: `Ends`; task: numbers of a `Task`;
-    tol_p, tol_r: tolerances of position [over the reach] and rotation [rad].
+    Two points must be in reach, within the tolerances: the target's point, for the arm, and the position of the last joint that the
+    target's rotation implies, for the arm without its tool. (If the rotation about an axis is free, the part of the tool normal to
+    this axis is left out.) goal: (GOAL,) target, as `problem.take` writes it; ends: `Ends`; task: the fields of a `Task`; tol_p,
+    tol_r: tolerances of position [arm reaches] and rotation [rad].
     """
     point, slack = at3(goal, 9), allowance(task, 0, tol_p) + PROOF.reach_slack
     if not slack < math.inf:
@@ -102,9 +103,10 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
 @inner
 def edge(goal, ends, excess):
-    """Move a target that is out of reach to the edge of the reach, `excess` [over the reach] away.
+    """Move a target that is out of reach onto the edge of the reach, where the search can approach it.
 
-    It moves towards the first joint, or away from it if it is too near. goal: (GOAL,) target, as `problem.take` writes it.
+    It moves by `excess` [arm reaches] towards the first joint, or away from it if it is too near. goal: (GOAL,) target, as
+    `problem.take` writes it.
     """
     p = at3(goal, 9)
     centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
@@ -143,8 +145,8 @@ def is_rigid(T):
 def standstill(p, look, near, boxed):
     """Return why an attempt makes no progress: CODE.limit_blocked, CODE.singular (no joint changes the error) or CODE.stalled.
 
-    p: the problem, whose p.desk.J must be the Jacobian at the configuration of the errors `look`; near: `Ends` with the limits that
-    steps must respect; boxed: whether there are any.
+    p: the problem, whose p.desk.J must be the Jacobian at the configuration of the errors `look`; near: the joint limits that steps
+    must respect (Ends); boxed: whether there are any.
     """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0

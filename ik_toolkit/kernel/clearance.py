@@ -15,9 +15,13 @@ FINEST = 1.0 / 64.0
 
 
 class Bodies(NamedTuple):
-    """S shapes of a scene, P pairs of these shapes and E moving joints, at one configuration and in the root frame's axes."""
+    """The shapes of a scene, the pairs of them that may touch, and the moving joints, at one configuration.
 
-    # (E, 6) Twist per unit rate of each joint: linear velocity (3) of the body's point at the root's origin, angular velocity (3)
+    There are S shapes, P pairs and E joints; all vectors are in the axes of the robot's root frame.
+    """
+
+    # (E, 6) spatial twist per unit rate of each joint: velocity (3) of the body's point that is at the root's origin, angular
+    # velocity (3)
     V: np.ndarray
     coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
     middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
@@ -41,8 +45,8 @@ class Approach(NamedTuple):
 
     slope: float  # [1/s] a pair may approach at most at this rate times its gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
-    # A joint takes part in the braking of a pair if its effect on the distance, per unit, exceeds this share of the largest effect
-    # of any joint.
+    # A joint is one of those that brake a pair if its effect on the distance, per unit, exceeds this share of the largest effect of
+    # any joint.
     share: float
     flat: float  # A pair is left out if no joint changes its distance by more than this per unit [m/rad or m/m].
 
@@ -52,7 +56,7 @@ class HalfPlanes(NamedTuple):
 
     A: np.ndarray  # (R, n) speed of approach of a pair per unit of each joint rate
     b: np.ndarray  # (R,) highest speed [m/s] at which the pair may approach
-    order: np.ndarray  # (R,) row of `NearPairs` (the pair of shapes) that each constraint is for
+    order: np.ndarray  # (R,) row of `NearPairs` that each constraint belongs to
 
 
 class Separation(NamedTuple):
@@ -64,12 +68,12 @@ class Separation(NamedTuple):
 
 
 class BrakingPath(NamedTuple):
-    """A motion in pieces of equal duration, as `servo.viability.brake` writes it."""
+    """A motion of the joints, such as braking to rest, cut into N pieces of equal duration (see `servo.viability.brake`)."""
 
-    Q: np.ndarray  # (N + 1, n) joint values
-    R: np.ndarray  # (N + 1, n) joint rates
-    L: np.ndarray  # (N + 1, n) lengths that the joints have travelled
-    gamma: float  # 1 if the rates are constant over a piece, less than 1 if they change evenly
+    Q: np.ndarray  # (N + 1, n) joint values at the ends of the pieces
+    R: np.ndarray  # (N + 1, n) joint rates at the ends of the pieces
+    L: np.ndarray  # (N + 1, n) length that each joint has travelled since the start, in both directions
+    gamma: float  # 1 if joints move at a constant rate in a piece; less than 1 if the rate changes linearly
     h: float  # [s] duration of a piece
 
 
@@ -81,7 +85,7 @@ def travelled(start, change, f):
     """
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # The joint reverses within the piece, so its motion in both directions is counted.
+    if 0.0 < turn < f:  # The joint reverses within the piece, so the lengths there and back are added.
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)
@@ -89,7 +93,7 @@ def travelled(start, change, f):
 
 @dual
 def speed_and_growth(Q, R, k, j, gamma, h):
-    """Return the speed of joint j at the start of piece k of a motion, and by how much the speed changes over the piece.
+    """Return the rate of joint j at the start of piece k of a motion, and by how much the rate changes over the piece.
 
     Both are moves per duration of the piece, not per second. Q, R, gamma and h are fields of the motion, see `BrakingPath`.
     """
@@ -127,10 +131,10 @@ def speed_at(V, e, point):
 
 @cached
 def levers(parts, way, out, spread) -> None:
-    """Bound how much closer each pair of shapes can come per unit of each joint, while no joint moves further than `way`.
+    """Write to out (P, E) how much closer each pair of shapes can come at most per unit of each joint.
 
-    The bound is the joint's lever arm: the distance from its axis to the far side of the shape's bounding sphere, plus how far the
-    later joints can move the shape.
+    The bound holds while no joint moves further than `way`. It is the joint's lever arm: the distance from its axis to the far side
+    of the shape's bounding sphere, plus how far the later joints can move the shape.
 
     Args:
         parts: `Bodies` where the motion starts.
@@ -220,7 +224,7 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
 @dual
 def second_order_motion(turn, lever, moved, length):
-    """Return a bound [m] on the part of a body's displacement that is not the joint moves times its velocities at the start.
+    """Return a bound [m] on the second-order part of a body's motion, which its Jacobian at the start does not predict.
 
     turn (E,): angular speed per unit of each joint; lever (E,): lever arms of the joints; moved (E,): whether a joint moves the
     body; length (E,): how far the joints move.
@@ -288,8 +292,8 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 closing += rate[e] * move
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
-                # Between any two points of a piece a joint deviates from steady motion by at most 1/8 of its change of speed over
-                # the piece, with speeds measured as moves per piece.
+                # Between any two points of a piece, a joint deviates from motion at a constant rate by at most 1/8 of the change of
+                # its rate over the piece (in moves per piece).
                 curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
             bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(

@@ -19,7 +19,10 @@ from .vectors import dot, largest
 
 
 class Descent(NamedTuple):
-    """Constants of the minimisation, a Levenberg-Marquardt method whose damping is a multiple of the squared error."""
+    """Constants of the Levenberg-Marquardt method that brings a failed search's answer as near to its target as it can.
+
+    Its damping is a multiple of the squared error.
+    """
 
     first: float = 0.1  # damping of the first step, divided by the squared error
     least: float = 1e-6  # least damping, divided by the squared error; it bounds the steps at singular poses
@@ -28,7 +31,7 @@ class Descent(NamedTuple):
     lowered: float = 0.3  # by how much the damping is multiplied after a step that lowers the error
     raised: float = 4.0  # by how much the damping is multiplied after a step that does not lower the error
     evaluations: int = 500  # highest number of evaluations of the errors (0.3 us each)
-    smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
+    smallest: float = 1e-7  # the method ends when a step moves every joint by less than this [rad or arm reaches]
 
 
 DOWN = Descent()
@@ -36,9 +39,9 @@ DOWN = Descent()
 
 @inline
 def weighed(p, e, factor):
-    """Write the errors of a problem p to p.desk.y (m,), positions multiplied by `factor`; return their squared norm.
+    """Write the errors of problem p, positions multiplied by `factor`, to p.desk.y (m,); return their squared norm.
 
-    e: what `p.evaluate` returned.
+    e: the errors, as `p.evaluate` returned them.
     """
     y, total = p.desk.y, 0.0
     p.stack(e)
@@ -68,7 +71,7 @@ def held_wrongly(s, error, weights, box):
 
 @inline
 def write_damped_step(p, error, damping, weights, box, pressed):
-    """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
+    """Write to p.desk.dq the damped least-squares step that lowers the error; return the largest move of a joint in it.
 
     By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
     that ought to leave its limit. If that matters (`held_wrongly`), or if `pressed` is set, it instead holds the joints at a limit
@@ -93,7 +96,7 @@ def write_damped_step(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Lower the error of one failed search, and return the squared error at the new q: `approach_targets` for one target.
+    """Do the work of `approach_targets` for one failed search: lower its error, and return the squared error at the new q.
 
     The arrays are given as views; steps: highest number of evaluations; block: scratch memory.
     """
@@ -107,7 +110,8 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         e = p.evaluate(s.q)
         made += 1
         now = weighed(p, e, factor)
-        if now < value or e.good:  # Of two errors, the larger may be the one inside both tolerances.
+        # A configuration inside both tolerances is accepted even if its weighted error is larger.
+        if now < value or e.good:
             value, share, pressed = now, max(DOWN.lowered * share, DOWN.least), False
             copy(s.q, best)
             copy(s.y, error)
@@ -138,9 +142,10 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
 @cached
 def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
-    """Lower the errors of failed searches; q, errors and number of evaluations in their result rows `out` are replaced.
+    """Bring the answers of failed searches nearer to their targets, to local minima of the error inside the limits.
 
-    If a minimisation reaches its target, the row's status becomes CONVERGED. Rows that are CONVERGED stay as they are.
+    In their rows of `out`, q, errors and number of evaluations are replaced. If a minimisation reaches its target, the row's status
+    becomes CONVERGED. Rows that are CONVERGED stay as they are.
 
     Args:
         rows: (L, 10) geometry of the chain or tree.
@@ -162,5 +167,6 @@ def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
                 view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)
             )
             for j in range(SIZE.answer + n + 2, out.shape[1], SIZE.miss):
-                out[k, j] = before[j]  # The length by which a tip's target is proven out of reach does not change.
+                # Only the errors of each tip are new; the length by which its target is proven out of reach stays as it was.
+                out[k, j] = before[j]
     keep(block)

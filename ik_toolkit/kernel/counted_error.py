@@ -28,7 +28,7 @@ from .algebra import M3, V3, at3, product, put3, rotation_at, transposed
 from .kinematics import angle_ratio, column, rotation_angle
 from .records import WHAT, Array
 
-AXIS = "axis"  # a target (AXIS, axis) is a pose that leaves the rotation about this axis of the tip free
+AXIS = "axis"  # tag of a target (AXIS, axis): a pose that leaves the rotation about this axis of the tip free
 
 
 class TargetKinds(NamedTuple):
@@ -37,11 +37,11 @@ class TargetKinds(NamedTuple):
     pose: int = 0  # the whole error counts
     position: int = 1  # only the position error counts
     free: int = 2  # nothing counts: the tip has no target
-    part: int = 3  # only a part counts: there are weights, dead bands or a free axis, see `records.Task`
+    part: int = 3  # only a part of the error counts: it has weights, dead bands or a free axis, see `records.Task`
 
 
 class AxesOfParts(NamedTuple):
-    """Frames in whose axes weights and dead bands may be given."""
+    """Frames in whose axes the weights and dead bands of a pose error may be given."""
 
     base: int = 0
     tip: int = 1
@@ -49,15 +49,15 @@ class AxesOfParts(NamedTuple):
 
 
 class KeptIndices(NamedTuple):
-    """Where `shape` puts what it computes for the derivative of the errors that count: indices in the array `kept` (IN.size,).
+    """Indices in the array `kept` (IN.size,), where `shape` stores what is needed to differentiate the errors that count.
 
     A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target, if that
     moves with another tip, becomes (L (u + v x arm_goal), B v).
     """
 
-    L: int = 0  # index of the matrix L, 9 numbers by rows
-    A: int = 9  # index of the matrix A, 9 numbers by rows
-    B: int = 18  # index of the matrix B, 9 numbers by rows
+    L: int = 0  # index of the matrix L, stored as 9 numbers by rows
+    A: int = 9  # index of the matrix A, stored as 9 numbers by rows
+    B: int = 18  # index of the matrix B, stored as 9 numbers by rows
     arm: int = 27  # index of the vector `arm` (3) in the formula above
     arm_goal: int = 30  # index of the vector `arm_goal` (3) in the formula above
     error: int = 33  # index of the six errors that count, with weights and dead bands applied
@@ -68,7 +68,8 @@ class SmallAngles(NamedTuple):
     """Bounds below which a formula that divides by an angle, or by its sine, is replaced."""
 
     sine: float = 1e-9  # two directions count as parallel if the sine of their angle is below this, which is rounding
-    angle: float = 1e-3  # [rad] below this a series replaces the closed formula of a second derivative; set by hand
+    # [rad] Below this angle a series replaces the closed formula of a second derivative; the value was set by hand.
+    angle: float = 1e-3
 
 
 KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles()
@@ -76,10 +77,10 @@ KIND, AXES, IN, SMALL = TargetKinds(), AxesOfParts(), KeptIndices(), SmallAngles
 
 @inner
 def allowance(task, first, tolerance):
-    """Return the largest norm of three errors of a pose (position or rotation) for which what counts of them is in tolerance.
+    """Return how large a tip's position error, or its rotation error, may be while what counts of it is in tolerance.
 
-    It adds the dead bands to the tolerance over the smallest weight, and is infinite if one of the errors does not count. first: 0
-    for the position errors, 3 for the rotation errors; task: numbers of a `Task`.
+    This is a bound on the norm of the three errors: the dead bands plus the tolerance divided by the smallest weight, infinite if
+    one of the errors does not count. first: 0 for the position errors, 3 for the rotation errors; task: the fields of a `Task`.
     """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
@@ -90,20 +91,25 @@ def allowance(task, first, tolerance):
 
 @inner
 def log_curvature(rr):
-    """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r; w: angular velocity; rr = |r|^2."""
+    """Return the factor c in the derivative of a rotation vector r, which is w + r x w / 2 + c r x (r x w).
+
+    w: angular velocity; rr: |r|^2.
+    """
     if rr < 1e-4:
-        return 1.0 / 12.0 + rr / 720.0  # the series of the next formula up to rr^2 / 30240, which is omitted
+        # For small angles, the power series of the formula below, up to the term rr^2 / 30240, which is left out.
+        return 1.0 / 12.0 + rr / 720.0
     half = 0.5 * math.sqrt(rr)
     return (1.0 - half * math.cos(half) / math.sin(half)) / rr
 
 
 @inner
 def shape(task, ends, goal, now, linear, angular, kept):
-    """Return the part (linear, angular) of a pose error that counts, and fill kept (IN.size,) for `count_column`.
+    """Return what counts of a pose error (linear, angular): weights, dead bands and a free axis of rotation are applied to it.
 
-    The given angular error is 2 sin(angle/2) times the axis; `now` holds the present axes of the last joint. task: numbers of a
-    `Task`; ends: `Ends`; goal: (GOAL,) target. In the comments below, G is the matrix for which a small rotation v of the tip
-    changes the rotation vector r by -G v; a small rotation v of the target changes r by G' v.
+    Also fills kept (IN.size,), from which `count_column` converts Jacobian columns. The given angular error is 2 sin(angle/2) times
+    the axis; `now` holds the present axes of the last joint. task: the fields of a `Task`; ends: `Ends`; goal: (GOAL,) target. In
+    the comments below, G is the matrix for which a small rotation v of the tip changes the rotation vector r by -G v; a small
+    rotation v of the target changes r by G' v.
     """
     none = V3(0.0, 0.0, 0.0)
     if int(task[WHAT.kind]) == KIND.free:
@@ -122,7 +128,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > SMALL.sine:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # For a rotation by pi, any axis perpendicular to a will do.
+        elif cosine < 0.0:  # For a rotation by pi, any axis of rotation perpendicular to a will do.
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -134,7 +140,8 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != AXES.base:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # The vector `own` becomes a row of the matrix G, the product axis' G.
+        # `own` is axis' G: the derivative of this component of the rotation vector by a rotation of the tip, but for its sign.
+        if turns:
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -151,7 +158,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        # The vector `others` becomes a row of the transpose of G, the product axis' G'.
+        # `others` is axis' G': the derivative of this component of the rotation vector by a rotation of the target.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == AXES.target else others) * w)
     put3(kept, IN.arm, linear if frame == AXES.tip else none)
@@ -170,7 +177,7 @@ def rows_at(kept, i):
 
 @inner
 def count_column(kept, linear, angular):
-    """Return what a Jacobian column (linear, angular) of the tip becomes in the errors that count.
+    """Convert a column (linear, angular) of the tip's Jacobian to the components of the error that count, and return it.
 
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
@@ -180,7 +187,7 @@ def count_column(kept, linear, angular):
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """Return by how much a small motion (linear, angular) of the target changes the errors that count.
+    """Return the derivative of the errors that count for a motion (linear, angular) of the target.
 
     kept: (IN.size,) what `shape` has written for the present configuration.
     """
@@ -190,11 +197,12 @@ def count_goal_column(kept, linear, angular):
 
 @inner
 def turn_axis(task, kept, out):
-    """Write to out (3,) the unit normal n of a mirror plane, in which reflection makes the third rotation error of a tip 0.
+    """Write to out (3,) the unit normal n of the mirror plane that makes the third rotation error of a tip vanish.
 
-    It writes zeros if no turn is free, or if one of the rotation errors does not count. With a free turn the rotation error r is
-    always normal to an axis c, so c' r = 0. The reflection 1 - 2 n n' (Householder's) takes c to the z axis (or its opposite), so
-    r_z becomes 0. task: numbers of a `Task`; kept: (IN.size,) as `shape` fills it.
+    If the tip may turn freely about an axis, only two of its rotation errors are independent. Zeros are written if it may not, or
+    if one of the rotation errors does not count. With a free turn the rotation error r is always normal to an axis c, so c' r = 0.
+    The reflection 1 - 2 n n' (Householder's) takes c to the z axis (or its opposite), so r_z becomes 0. task: the fields of a
+    `Task`; kept: (IN.size,) as `shape` fills it.
     """
     put3(out, 0, V3(0.0, 0.0, 0.0))
     if (
@@ -236,7 +244,7 @@ def angle_left(kind, rr):
 def counts(task):
     """Return two flags, 1.0 or 0.0: whether starts near the target's position, and near its rotation, are to be preferred.
 
-    They are 0 for what does not count, or has no bound. task: numbers of a `Task`.
+    A flag is 0 if no component of that error counts, or its dead band allows any value. task: the fields of a `Task`.
     """
     position, rotation = 0.0, 0.0
     for i in range(3):
@@ -264,7 +272,7 @@ class TipState(NamedTuple):
 def even_weight(task):
     """Return the weight of a tip's rotation errors if it is the same for all three and they have no dead band, else 0.
 
-    task: numbers of a `Task`.
+    task: the fields of a `Task`.
     """
     w = task[WHAT.w3]
     even = task[WHAT.w4] == w and task[WHAT.w5] == w and task[WHAT.s3] + task[WHAT.s4] + task[WHAT.s5] == 0.0
@@ -292,16 +300,16 @@ def add_products(J, first, e, factor, H):
 
 @compiled
 class Bend(NamedTuple):
-    """Factors by which the second derivatives of a tip's error enter a Lagrangian, see `add_pairs`."""
+    """Factors that multiply the second derivatives of a tip's errors where these enter the Hessian of a Lagrangian."""
 
-    linear: V3  # (V3) weights of the second derivatives of the position's components
-    turn: V3  # (V3) weights of the second derivatives of the rotation vector's components
+    linear: V3  # (V3) factors for the components of the position
+    turn: V3  # (V3) factors for the components of the rotation vector
     least: M3  # (M3) matrix for the second derivatives of the squared rotation error; zeros unless that is minimised
 
 
 @inline
 def plus_cross(m, v):
-    """Return the sum of m and the matrix of the cross product with v, for which the sum times w is m w + v x w."""
+    """Return the matrix m plus the cross-product matrix of v: applied to a vector w, the sum gives m w + v x w."""
     return M3(m.x + V3(0.0, v.z, -v.y), m.y + V3(-v.z, 0.0, v.x), m.z + V3(v.y, -v.x, 0.0))
 
 
@@ -314,10 +322,11 @@ def plus_diagonal(x, y, z, d, factor):
 
 @inner
 def add_pairs(rows, joints, tip, linear, turn, H):
-    """Add to H (n, n), for each pair of joints r and t of a chain, (linear x v_r) . u_t + (turn v_r) . v_t.
+    """Add to the Hessian H (n, n) the second derivatives that pairs of joints r and t of a chain contribute.
 
-    u and v are the linear and angular velocity of the point `tip` per unit of a joint; joint r is the one nearer the base. linear
-    is a vector (V3), turn a matrix (M3); rows and joints as in `TipState`.
+    The contribution is (linear x v_r) . u_t + (turn v_r) . v_t, where u and v are the linear and angular velocity of the point
+    `tip` per unit of a joint, and joint r is the one nearer the base. linear is a vector (V3), turn a matrix (M3); rows and joints
+    as in `TipState`.
     """
     for r in range(rows.shape[0]):
         u, v = column(rows, joints, r, tip)
@@ -334,7 +343,7 @@ def add_pairs(rows, joints, tip, linear, turn, H):
 
 @inner
 def add_curvature(state, J, first, e, c, least, H):
-    """Add to H (n, n) the second derivatives of a tip's part of a Lagrangian.
+    """Add to the Hessian H (n, n) of a Lagrangian the second derivatives of one tip's errors.
 
     Args:
         state: The tip at this configuration, as a `TipState`.

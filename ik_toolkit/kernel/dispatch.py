@@ -14,8 +14,8 @@ from .tree import tree_on
 def problem_on(block, rows, ends, tasks, n, orders):
     """Return the problem of one tip (Serial, if `ends` is one row) or of several (TreeProblem).
 
-    block: memory, from which scratch arrays are cut; rows: (L, 10) geometry; ends: numbers of `records.Ends`, a row for each tip;
-    tasks: the numbers of a `Task` for each tip, one after the other; n: number of coordinates; orders: an `Orders`.
+    block: memory, from which scratch arrays are cut; rows: (L, 10) geometry; ends: the array of a `records.Ends`, a row for each
+    tip; tasks: the fields of a `Task` for each tip, one after the other; n: number of coordinates; orders: an `Orders`.
     """
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
@@ -28,9 +28,9 @@ def _problem_on(block, rows, ends, tasks, n, orders):
 
 
 def shaped(ends, T, tips):
-    """Return the numbers `ends` as they are for one tip, where targets T are (N, 4, 4), or as one row a tip.
+    """Return the array `ends` (see `records.Ends`) in the shape that suits targets T: flat for one tip, else one row a tip.
 
-    For several tips T is (N, F, 4, 4).
+    T is (N, 4, 4) for one tip, and (N, F, 4, 4) for several.
     """
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
@@ -60,7 +60,7 @@ def _evaluation(rule, p, q):
 def aim_at(rule, p, T, orders):
     """Set the target T of problem p, by the solver rule's method `aimed` if it has one.
 
-    Returns the length [over the reach] by which the target is proven out of reach, -1 if it is not a pose. orders: an `Orders`.
+    Returns the length [arm reaches] by which the target is proven out of reach, -1 if it is not a pose. orders: an `Orders`.
     """
     return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
 

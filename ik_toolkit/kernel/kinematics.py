@@ -14,7 +14,8 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, pose_from, put, put3, rotation_at, rotation_left, sincos, transposed
 
-# Length of a joint's row: cos b, sin b, tx, ty, turn, a0, slide, d0, index of its coordinate, and 1 for a revolute joint, else 0.
+# Length of a joint's row. Its transformation is Rx(b) T(tx, ty, slide x + d0) Rz(turn x + a0), where x is its coordinate; the row
+# has cos b, sin b, tx, ty, turn, a0, slide, d0, the index of the coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
 # A joint is not a mimic joint if its ratio to its coordinate differs from 1 by less than this, which is rounding.
 RATIO = 1e-12
@@ -32,7 +33,10 @@ def own_coordinates(rows, n):
 
 @inline
 def room(L):
-    """Return the lengths of the arrays `joints` and `trig` of `fk` for L joints; `trig` is padded to whole SIMD registers."""
+    """Return the lengths that `fk` needs for its arrays `joints` and `trig`, for a chain of L joints.
+
+    `trig` is padded to whole SIMD registers.
+    """
     return 6 * L, 3 * ((L + 3) // 4 * 4)
 
 
@@ -53,9 +57,10 @@ def turn_all(rows, q, trig):
 
 @inline
 def fk(rows, q, joints, trig):
-    """Return the pose of the last joint at q (n,); joints[6 i : 6 i + 6] receives the axis and a point of joint i.
+    """Return the pose of the last joint at q (n,) by forward kinematics; write the axis and a point of each joint to `joints`.
 
-    rows: (L, 10) geometry; trig: receives angles, sines and cosines of the joints; see `room` for the lengths of both arrays.
+    Those of joint i go to joints[6 i : 6 i + 6]. rows: (L, 10) geometry; trig: receives angles, sines and cosines of the joints;
+    see `room` for the lengths of both arrays.
     """
     turn_all(rows, q, trig)
     size = trig.shape[0] // 3
@@ -65,7 +70,7 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):  # Row 0, which has no rotation by b, is handled above.
+    for i in range(1, rows.shape[0]):  # The first joint was done above: its row has no rotation by b.
         cb, sb = rows[i, 0], rows[i, 1]
         v = y * cb + z * sb  # The axes y and z are rotated by the angle b about x.
         z = z * cb - y * sb
@@ -95,7 +100,7 @@ def column(rows, joints, i, tip):
 def aim(ends, T, goal):
     """Write to goal (12,) the pose that a target T (4, 4) [m, base axes] asks for, in the frame of the first joint.
 
-    It consists of the rotation of the last joint (9), by rows, and the position of the tip (3) [over the reach]. ends: `Ends`.
+    It consists of the rotation of the last joint (9), by rows, and the position of the tip (3) [arm reaches]. ends: `Ends`.
     """
     base, target = rotation_at(ends.flat, 0), pose_from(T)
     put3(goal, 9, base.across(target.point * (1.0 / ends.scale()) - at3(ends.flat, 9)))

@@ -12,11 +12,11 @@ from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
 from .search import Patience, Spent, make_attempt, start_attempt
 
-WORST = 1e300  # larger than any squared error
+WORST = 1e300  # stands for an error that is not known yet, larger than any squared error
 
 
 class Phases(NamedTuple):
-    """The three ways in which an attempt may treat errors with an order of priority."""
+    """The three ways in which an attempt may treat errors in order of priority; level 0 are those of first priority."""
 
     at_once: int = 0  # all errors are treated as if they had the same priority
     constrained: int = 1  # level 0 is a constraint
@@ -28,10 +28,10 @@ PHASE = Phases()
 
 @compiled
 class Minimum(NamedTuple):
-    """The best minimum of the errors that any attempt has found so far."""
+    """The best minimum that the attempts of a search have found so far, for errors in order of priority (levels)."""
 
-    ee: float  # number by which configurations are compared, see `rank_errors`
-    beside: float  # squared error of the level that comes after the one measured by `ee`
+    ee: float  # rank of its configuration, less is better, see `rank_errors`
+    beside: float  # squared error of the next level after the one that `ee` measures
     agreed: int  # number of attempts that have found this minimum
     found: int  # number of the attempt that found this minimum first
     met: bool  # whether all levels are in tolerance
@@ -43,7 +43,7 @@ def rank_errors(p, e, level):
 
     If all levels above c are in tolerance and level c has the squared error v, `ee` is v / (1 + v) - c. A configuration that meets
     more levels therefore always has a smaller value, and the value is below 0 if level 0 is met. p: the problem; level: (2 F,)
-    level of the position and of the rotation errors of each tip.
+    priority (0: first) of the position and of the rotation errors of each tip.
     """
     groups, top = level.shape[0], 0.0
     for g in range(groups):
@@ -64,7 +64,8 @@ def rank_errors(p, e, level):
 def next_level(p, e, level):
     """Return the squared error of the level after the one that the `ee` of `rank_errors` measures.
 
-    p: the problem; e: errors from `rank_errors`; level: (2 F,) level of the position and of the rotation errors of each tip.
+    p: the problem; e: errors from `rank_errors`; level: (2 F,) priority (0: first) of the position and of the rotation errors of
+    each tip.
     """
     c, value = 1.0, 0.0
     while e.ee < 1.0 - c:
@@ -77,17 +78,17 @@ def next_level(p, e, level):
 
 @inline
 def choose_phase(plain, tries, reached, near, far, excess):
-    """Return the phase of the next attempt, a number of `Phases`.
+    """Return how the next attempt treats errors in order of priority, a number of `Phases`.
 
     After some constrained attempts without success, every second attempt minimises level 0.
 
     Args:
-        plain: How many attempts, the first ones, treat all errors as one level.
+        plain: How many of the first attempts treat all errors as one level.
         tries: How many attempts have been made.
         reached: Whether any attempt has met level 0.
         near: How many attempts had level 0 as a constraint.
         far: How many attempts minimised level 0.
-        excess: Length by which the target is proven out of reach [over the reach].
+        excess: Length by which the target is proven out of reach [arm reaches].
     """
     if tries < plain:
         return PHASE.at_once
@@ -101,7 +102,7 @@ def compare(p, e, level, best, number, job):
     """Return the better of two minima, as a `Minimum`: the best so far, and the one at which attempt `number` ended.
 
     If the latter is better, its q and its errors are kept. p: the problem; e: errors from `rank_errors` at the end of the attempt;
-    level: (2 F,) level of the position and of the rotation errors of each tip; job: `SearchInput`.
+    level: (2 F,) priority (0: first) of the position and of the rotation errors of each tip; job: `SearchInput`.
     """
     beside, floor = next_level(p, e, level), math.floor(best.ee)
     share = QUADRATIC.same if best.ee < 0.0 else QUADRATIC.same_reach
@@ -117,10 +118,11 @@ def compare(p, e, level, best, number, job):
 
 @inline
 def search_by_levels(rule, p, job, level, plain, excess):
-    """Make attempts until several have found the best minimum; return the Answer and the index of its errors in `Desk.errors`.
+    """Search for errors in order of priority: make attempts until several have found the same best minimum.
 
-    level (2 F,): level of each group of errors (position, rotation); plain: how many attempts, the first ones, treat all errors as
-    one level. The other arguments are those of `search.search`.
+    Returns the Answer, and the index of its errors in `Desk.errors`. level (2 F,): priority (0: first) of each group of errors
+    (position, rotation); plain: how many of the first attempts treat all errors as one level. The other arguments are those of
+    `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)
@@ -132,15 +134,17 @@ def search_by_levels(rule, p, job, level, plain, excess):
     tries, near, far, found, cut_off = 0, 0, 0, 0, 0
     while True:
         if tries == plain:
-            least = WORST  # From here on this is a rank, which cannot be compared with the sums of squares of the earlier attempts.
+            # From here on `least` is a rank (`rank_errors`), which cannot be compared with the sums of squares of the earlier
+            # attempts.
+            least = WORST
         phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
         index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far
         near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
         patience = start_attempt(p, job, index - int(o.given), excess)
         if phase == PHASE.constrained:
-            # An attempt that comes near the best minimum would end there, too, and ends early. If that minimum has an error below
-            # QUADRATIC.small, no attempt ends early, because it may meet the tolerance there.
+            # An attempt that comes near the best minimum would end there as well, so it is ended early. If that minimum has an
+            # error below QUADRATIC.small, no attempt is ended early, because it may meet the tolerance there.
             sure = best.ee < 0.0 and best.ee - math.floor(best.ee) > QUADRATIC.small
             known = QUADRATIC.near * QUADRATIC.near if sure else 0.0
             decay = QUADRATIC.decay_later if least < 0.0 else QUADRATIC.decay
@@ -167,7 +171,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
 
 @inline
 def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, excess):
-    """Put the answer into p.desk.q, each joint shifted by 2 pi k to be nearest the start.
+    """Put the answer of `search_by_levels` into p.desk.q, each joint shifted by 2 pi k to be nearest the start.
 
     Returns the Answer, and the index of its errors in `Desk.errors`.
 
@@ -176,11 +180,11 @@ def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, exces
         p: The problem.
         job: The arrays of the search, as `SearchInput`.
         best: The best `Minimum`.
-        reached: Whether any attempt met level 0, so that no limit can be said to block it.
+        reached: Whether any attempt met level 0, so that joint limits do not block it.
         spent: Counts of the whole search, as `Spent`.
         tries: How many attempts were made.
         cut_off: How many of them ended at the iteration limit.
-        excess: Length by which the target is proven out of reach [over the reach].
+        excess: Length by which the target is proven out of reach [arm reaches].
     """
     o, s, q = job.orders, p.desk, p.desk.q
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
@@ -208,7 +212,8 @@ def conclude_by_levels(rule, p, job, best, reached, spent, tries, cut_off, exces
         s.spent[2] = float(PHASE.constrained)
         e = evaluation(rule, p, q)
         evaluations += 1
-        if status == CODE.converged and not e.ee < 0.0:  # Rounding in the shift by 2 pi exceeded a tolerance.
+        # Rounding in the shift by 2 pi has brought the error above a tolerance.
+        if status == CODE.converged and not e.ee < 0.0:
             copy(answer, q)
         else:
             p.keep(e, place)

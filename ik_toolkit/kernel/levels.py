@@ -25,7 +25,7 @@ from .vectors import add_multiple, clear, dot, dot_of_columns, dot_with_column, 
 
 
 class LevelSteps(NamedTuple):
-    """Numeric constants of the steps, measured on eight arms; errors are in rad and in lengths over the arm's reach."""
+    """Numeric constants for errors in order of priority, tuned on eight arms; errors are in rad or divided by the arm's reach."""
 
     # A configuration counts as a minimum if the norm of the gradient in the null space, and a tenth of the largest multiplier of
     # the wrong sign, are below this share of the error.
@@ -38,34 +38,34 @@ class LevelSteps(NamedTuple):
     damping: float = 0.02
     # least damping of the step onto the constraint; it keeps the multipliers finite where the Jacobian is singular
     least_damping: float = 1e-9
-    # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
+    # a row of the constraint's Jacobian is independent if its part normal to the earlier rows exceeds this share of the largest row
     pivot: float = 1e-5
     # A level acts along directions with at least this curvature, in which a joint may still change the error by micrometres;
     # flatter ones are left to the next level.
     flat: float = 1e-6
-    longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
-    longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
+    longest_along: float = 1.0  # longest step towards the constraint [rad or arm reaches]
+    longest_across: float = 0.8  # longest step of a level in its null space [norm, in rad and arm reaches]
     same: float = 0.02  # two minima count as the same if their errors differ by less than this share
-    # the same if level 0 is out of reach; this share is small because errors of level 0 come before those of the next level
+    # the share by which minima may differ if level 0 is out of reach; small because errors of level 0 come before all others
     same_reach: float = 1e-5
-    # an attempt that comes this near to the best minimum [norm, rad or length over the reach] counts as having found it; of those
+    # an attempt that comes this near to the best minimum [norm, in rad and arm reaches] counts as having found it; of those
     # attempts 1 in 35 would have ended elsewhere (SO-100 and SO-101, 200 targets each)
     near: float = 0.2
     agree: int = 3  # number of attempts that must have found the best minimum before the search ends
     # number of attempts that must have found the best minimum if level 0 is out of reach, where minima are close together
     agree_reach: int = 6
     most: int = 20  # number of attempts after which the search ends if any of them has reached level 0
-    # how many attempts, the first ones, treat all errors as one level, if there are at least as many joints as errors that count
+    # how many of the first attempts treat all errors as one level, if there are at least as many joints as errors that count
     at_once: int = 48
-    # how many attempts, the first ones, treat all errors as one level if there are fewer joints, and these can change no more
-    # errors than there are joints (the pose of a planar arm); without them, 8 of 400 reachable poses of planar_3r are missed
+    # how many of the first attempts treat all errors as one level if there are fewer joints than errors, but no more errors that
+    # they can change (a planar arm's pose); without these attempts, 8 of 400 reachable poses of planar_3r are missed
     at_once_few: int = 3
     # number of precomputed starts; with only 256, 2 % fewer of the best minima are found on five joints
     table: int = 2048
     # number of precomputed starts from six joints on; 512 find as many minima as 2048, which take as long to scan as five
     # iterations
     table_six: int = 512
-    known: int = 8  # number of attempts after which level 0 is assumed to be out of reach
+    known: int = 8  # number of attempts without success after which level 0 is taken to be out of reach
     # An attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration, and by the
     # factor `decay_later` once an attempt has reached level 0. At the border of the reach `decay` must not be small.
     decay: float = 0.5
@@ -84,17 +84,15 @@ class StepTables(NamedTuple):
     work: Array
     turned: Array  # QR factors from `linalg.triangle`, or the eigenvectors of `reduced`
     reduced: Array  # second derivatives of a level in the null-space basis, later their eigenvalues on the diagonal
-    border: (
-        Array  # (r, .) the Jacobian with respect to the free joints, a row for each of the r errors of the constraint
-    )
+    border: Array  # (r, .) Jacobian of the r errors of the constraint with respect to the free joints
     triangle: Array  # (r, r) Cholesky factor of the damped border border'
     gradient: Array  # (n,) gradient of half the squared errors of a level
-    rhs: Array  # right-hand side of a linear system
+    rhs: Array  # right side of the linear system being solved
     pull: Array  # (m,) factors of the second derivatives of the errors, see `counted_error.add_curvature`
     chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
-    asked: Array  # (n,) joint weights, also of joints that are held now
+    asked: Array  # (n,) joint weights that the user asked for, also of joints that are held now
     dz: Array  # (n,) step of a level in the null space
-    free: Array  # index of each free joint
+    free: Array  # index of each free joint, one that is not held at a limit
     multiplier: Array  # (m,) negated Lagrange multipliers of the constraint
     row: Array  # scratch, for instance for one vector of the null space
     scales: Array  # scale of each reflection in `linalg.triangle`
@@ -103,7 +101,7 @@ class StepTables(NamedTuple):
 
 @inline
 def tables_of(s):
-    """Return the scratch arrays `tables` of s (Desk), each under its name in `StepTables`."""
+    """Return the scratch memory s.tables of a search (Desk) as the named arrays of `StepTables`."""
     t = s.tables
     v = t[7]
     return StepTables(
@@ -113,7 +111,7 @@ def tables_of(s):
 
 @inner
 def slope_of_level(p, c, level, out):
-    """Write to out (n,) the gradient of half the squared errors of level c of a problem p.
+    """Write to out (n,) the gradient of half the squared errors of priority c (0: first) of a problem p.
 
     The method `p.stack` must have written the errors to p.desk.y; level: (2 F,) level of position and rotation of each tip.
     """
@@ -129,11 +127,11 @@ def slope_of_level(p, c, level, out):
 
 @inner
 def size_of_level(p, e, c, level):
-    """Return the squared error of level c, or its tolerance where that is larger, but between QUADRATIC.small and 1.
+    """Return the size that a gradient is compared with to tell whether the errors of level c are at a minimum.
 
-    A level is at a minimum if its gradient is small against this number. The gradient alone is not enough: near a pose that is
-    almost reached, along a direction that hardly turns the tip, it is small long before the error is. p: the problem; e: its
-    errors; level: (2 F,) level of the position and of the rotation errors of each tip.
+    This is the level's squared error or tolerance, whichever is larger, but between QUADRATIC.small and 1. A gradient alone may be
+    small long before the error is, near a pose that is almost reached, along a direction that hardly turns the tip. p: the problem;
+    e: its errors; level: (2 F,) priority (0: first) of the position and of the rotation errors of each tip.
     """
     value, allowed = 0.0, 0.0
     for g in range(level.shape[0]):
@@ -145,9 +143,9 @@ def size_of_level(p, e, c, level):
 
 @inline
 def hessian_of_level(p, c, level, bench):
-    """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it.
+    """Write to bench.hessian the Hessian of the Lagrangian of level c, in which the levels above it are constraints.
 
-    p: the problem; level: (2 F,) level of the position and of the rotation errors of each tip; bench: `StepTables`.
+    p: the problem; level: (2 F,) priority (0: first) of the position and of the rotation errors of each tip; bench: `StepTables`.
     """
     n = p.desk.q.shape[0]
     for i in range(n):
@@ -162,7 +160,7 @@ def hessian_of_level(p, c, level, bench):
 
 @inline
 def onto_constraint(s, level, base, k, value, bench):
-    """Write to s.dq the damped step onto a constraint, and to bench.basis a basis of the constraint's null space.
+    """Write to s.dq the damped step that meets the constraint (all levels before `base`), and its null space to bench.basis.
 
     Args:
         s: Working memory (Desk); the errors are in s.y.
@@ -173,7 +171,7 @@ def onto_constraint(s, level, base, k, value, bench):
         bench: Scratch (StepTables); `border` and `triangle` are filled for `multipliers`.
 
     Returns:
-        The number of vectors in the basis.
+        The number of vectors in the basis of the null space.
     """
     A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
     r = 0
@@ -211,10 +209,10 @@ def onto_constraint(s, level, base, k, value, bench):
 
 @inline
 def down_level(s, k, last, bench, box):
-    """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
+    """Add to s.dq the Newton step that lowers the errors of one level in the null space of the levels above it.
 
-    Directions whose curvature is below QUADRATIC.flat are left to the next level: the basis is replaced by them, unless this is the
-    last level. The step is shortened to end inside the limits; the part of it that leads onto the constraint is not.
+    Negative curvatures are made positive. Unless this is the last level, directions with a curvature below QUADRATIC.flat are left
+    to the next one, as its basis. The step is shortened to end inside the limits; its part that leads onto the constraint is not.
 
     Args:
         s: Working memory (Desk).
@@ -229,7 +227,7 @@ def down_level(s, k, last, bench, box):
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
     b, dz, slope, steep = bench.rhs, bench.dz, bench.row, 0.0
     for i in range(n):
-        slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient where the step so far leads
+        slope[i] = bench.gradient[i] + dot(H[i], s.dq, n)  # the gradient at the end of the step so far
     for x in range(k):
         for i in range(n):
             A[i, x] = dot_with_column(H[i], Z, x, n)
@@ -269,8 +267,8 @@ def multipliers(level, base, k, bench):
     """Write to bench.multiplier the negated Lagrange multipliers of the levels that come before level `base`.
 
     They belong to the gradient of level `base` or a later one, in bench.gradient. The last call of `onto_constraint` must have
-    written the factors in `bench` that are used here.
-    level: (2 F,) level of the position and of the rotation errors of each tip; k: number of free joints.
+    written the factors in `bench` that are used here. level: (2 F,) priority (0: first) of the position and of the rotation errors
+    of each tip; k: number of free joints.
     """
     b, out, r = bench.rhs, bench.multiplier, 0
     clear(out)
@@ -290,11 +288,11 @@ def multipliers(level, base, k, bench):
 
 @inner
 def inverse_multipliers(s, level, k, bench):
-    """Write to bench.multiplier what takes the place of the multipliers if level 0 is not a constraint, but minimised.
+    """Write to bench.multiplier the substitute for Lagrange multipliers if level 0 is not a constraint, but minimised.
 
     This is the Jacobian of level 0 times mu = -H^+ gradient. The eigenvalues and eigenvectors of H are those that `down_level`
-    found for level 0, whose basis was the free joints. s: working memory (Desk); level: (2 F,) level of the position and of the
-    rotation errors of each tip; k: number of free joints.
+    found for level 0, whose basis was the free joints. s: working memory (Desk); level: (2 F,) priority (0: first) of the position
+    and of the rotation errors of each tip; k: number of free joints.
     """
     V, W, free, mu, out = bench.turned, bench.reduced, bench.free, bench.row, bench.multiplier
     clear(mu)
@@ -329,7 +327,7 @@ def wrongly_held(s, size, bench, box):
 
 @inline
 def free_joints(s, bench):
-    """List the joints of s (Desk) that are not held in bench.free, with their unit vectors in bench.basis; return their number."""
+    """Write to bench.free the joints of s (Desk) that are not held, and their unit vectors to bench.basis; return their number."""
     k = 0
     for i in range(s.w.shape[0]):
         clear(bench.basis[i])
@@ -341,21 +339,22 @@ def free_joints(s, bench):
 
 @inner
 def step_by_levels(p, e, level, far):
-    """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
+    """Write to p.desk.dq the step for errors in order of priority; return AT_MINIMUM if q is already a minimum, else 0.
 
-    Joints at a limit that the step pushes outwards are held. At a minimum the multipliers of held joints must push outwards; as
-    long as some do not, the worst of these joints is released. Joints are released one by one because in a corner of the limits the
-    multipliers of level 0 are only known when enough joints are free.
+    A minimum meets level 0, and is a first-order minimum of the others. Joints at a limit that the step pushes outwards are held.
+    At a minimum the multipliers of held joints must push outwards; as long as some do not, the worst of these joints is released.
+    One is released at a time, because in a corner of the limits the multipliers of level 0 are only known when enough joints are
+    free.
 
     Args:
         p: The problem.
         e: Errors at p.desk.q, from `level_search.rank_errors`.
-        level: (2 F,) level of the position and of the rotation errors of each tip.
+        level: (2 F,) priority (0: first) of the position and of the rotation errors of each tip.
         far: Whether level 0 is minimised, because it is out of reach.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value, released = s.q.shape[0], 0.0, 0.0, 0
-    # Level 0 and all levels that are met, which `level_search.rank_errors` tells, are the constraint: those below `base`.
+    # The constraint consists of the levels below `base`: level 0 and all that are met, which `rank_errors` has put into e.ee.
     base = 0.0 if far else max(1.0, -float(math.floor(e.ee)))
     for g in range(level.shape[0]):
         top = max(top, level[g])

@@ -8,7 +8,7 @@ import numpy as np
 from ..compile.jit import compiled, inline, inner
 from .kinematics import TAU
 
-# A start with a larger coordinate [rad, or length over the reach] is refused: such an angle has only seven digits after the point.
+# A start with a larger coordinate [rad or arm reaches] is refused: such an angle has only seven digits after the decimal point.
 LARGEST = 1e9
 LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
 
@@ -17,7 +17,8 @@ LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division
 class LimitRows(NamedTuple):
     """Indices of the rows of an array of limits (4, n) [rad or arm reaches, per s, per s^2], as in limits[LIMIT.speed, i]."""
 
-    # not `lower`: no field may have the name of a method of another record of the kernel, such as `Ends.lower`
+    # The field is not called `lower`, because numba would take it for a method of this name in another record, such as
+    # `Ends.lower`.
     lowest: int = 0
     highest: int = 1
     speed: int = 2
@@ -47,9 +48,9 @@ def legal(q0, ends, limits):
 
 @inner
 def neighbourhood(q0, rows, follow, slide, limits, ends, near):
-    """Narrow the limits `near` (Ends) so that no joint moves further than `follow` [rad] or `slide` [m] from q0.
+    """Set the limits `near` (Ends) so that no joint moves further than `follow` [rad] or `slide` [m] from the start q0.
 
-    q0: (n,) start [rad or m]; rows: (L, 10) geometry; limits: whether the joint limits `ends` (Ends) hold as well.
+    q0: (n,) start [rad or m]; rows: (L, 10) geometry; limits: whether the joint limits `ends` (Ends) must be kept, too.
     """
     for i in range(q0.shape[0]):
         turning = False
@@ -67,10 +68,10 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Return the joint that the option `follow`, and not its own limit, holds back most against the error, or -1 if there is none.
+    """Return the joint that would lower the error most if the option `follow` let it move further, or -1 if there is none.
 
-    p: the problem; look: its errors; near: the limits that the option sets (Ends); ends: the joint limits; limits: whether they
-    hold.
+    p: the problem; look: its errors; near: the limits that the option sets (Ends); ends: the joint limits (Ends); limits: whether
+    these are kept.
     """
     q = p.desk.q
     worst, most = -1, 0.0
@@ -113,9 +114,10 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # After a shift by 2 pi the value may be just outside by rounding.
+            a = min(max(a, lower), upper)  # Rounding in a shift by 2 pi may bring the value just outside the limits.
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # `far` becomes NaN if any coordinate is NaN.
+        # If any coordinate is NaN, `far` becomes NaN and stays so, which tells the caller.
+        far = far if abs(a) <= far or far != far else abs(a)
         q[i] = a
     return moved, far
 
@@ -131,9 +133,9 @@ def turn(wanted, q, ends, i):
 
 @inline
 def face(q, wanted, ends):
-    """Shift each joint of q by 2 pi k as near as possible to its value in `wanted` (n,) within limits; return whether q changed.
+    """Shift each joint of q by a multiple of 2 pi as near as possible to its value in `wanted`, within limits, if it may wrap.
 
-    q: (n,) joint values; ends: the limits (Ends).
+    Returns whether q changed. q, wanted: (n,) joint values; ends: the limits (Ends).
     """
     turned = False
     for i in range(q.shape[0]):
@@ -141,7 +143,7 @@ def face(q, wanted, ends):
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # After a shift by 2 pi the value may be just outside by rounding.
+                if ends.turns(i) < 1.5:  # Rounding in a shift by 2 pi may bring the value just outside the limits.
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned
@@ -149,9 +151,10 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Return the squared distance of two configurations (n,), modulo 2 pi where joints may wrap, each joint over its weight.
+    """Return the squared distance of two configurations: the sum of squared joint differences, each divided by the joint's weight.
 
-    q, other, weights: (n,); ends: the limits (Ends), which say which joints may wrap.
+    Where a joint may wrap, its difference is the shortest one modulo 2 pi. q, other, weights: (n,); ends: the limits (Ends), which
+    say which joints may wrap.
     """
     total = 0.0
     for i in range(q.shape[0]):

@@ -7,10 +7,10 @@ from .algebra import V3, diagonal
 from .records import copy
 from .vectors import clear, dot, dot_of_columns, dot_with_column
 
-TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
+TINY = 1e-300  # smallest pivot that a factorisation uses: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-# A column shorter than this share of the longest is rounding, without a direction, and would be rotated forever.
+# A column shorter than this share of the longest is only rounding and has no direction; the rotations would never end.
 NOISE = 1e-15
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
@@ -149,7 +149,7 @@ def make_orthogonal(A, V, m):
 
 @inner
 def make_rows_orthogonal(A, B, square):
-    """Make the m rows of A orthogonal by Jacobi rotations, and rotate the rows of B alike.
+    """Make the m rows of A orthogonal by Jacobi rotations, and apply the same rotations to the rows of B.
 
     square (m,) receives the squared lengths of the rows of A.
     """
@@ -177,7 +177,7 @@ def make_rows_orthogonal(A, B, square):
 
 @inline
 def pseudo_inverse_step(J, e, rcond, V, dq, m):
-    """Write the step dq = pinv(J') e for the error e (m,); singular values below rcond times the largest count as zero.
+    """Write the joint step dq = pinv(J') e for the error e (m,); singular values below rcond times the largest count as zero.
 
     J (n, m), the transposed Jacobian with one joint a row, is overwritten. V (m, m) is scratch. The function is faster if m is a
     constant at compile time.

@@ -19,7 +19,7 @@ from .vectors import dot_of_columns, largest
 
 
 class Objectives(NamedTuple):
-    """Numbers of the secondary objectives, explained in `refine`; 0 is none."""
+    """Numbers of the secondary objectives by which a solution may be improved (explained in `refine`); 0 stands for none."""
 
     mid_range: int = 1
     reference: int = 2
@@ -27,17 +27,17 @@ class Objectives(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
+    """Numeric constants for moving a solution through the null space of its task: tolerances, step sizes, numbers of iterations."""
 
-    # The joints can change an error if its row of the Jacobian has a larger squared norm than this.
+    # The joints can change an error only if its row of the Jacobian has a larger squared norm than this.
     influence: float = 1e-18
     # least squared pivot of JJ', J being the Jacobian; it keeps the logarithm finite at a singular pose
     volume: float = 1e-30
     corrections: int = 6  # highest number of steps back onto the target; convergence is quadratic, so 2 or 3 suffice
-    # step by which the manipulability is differentiated numerically [rad, or length over the reach]
+    # step by which the manipulability is differentiated numerically [rad or arm reaches]
     difference: float = 1e-6
-    smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad, or length over the reach]
-    # largest move of a joint in a step [rad, or length over the reach], because the null space is curved
+    smallest: float = 1e-7  # the refinement ends when a step moves every joint by less than this [rad or arm reaches]
+    # largest move of a joint in a step [rad or arm reaches], because the null space is curved
     longest: float = 0.3
     # A row of the Jacobian counts as zero if its squared norm is below this share of the largest one.
     single: float = 1e-24
@@ -50,7 +50,7 @@ OBJECTIVE, NULL = Objectives(), Steps()
 
 @compiled
 class Bounds(NamedTuple):
-    """Limits of the joints during a refinement; those of endless joints are infinite."""
+    """Limits of the joints while a solution is improved by a secondary objective; those of endless joints are infinite."""
 
     limits: Array  # (3, n) lower limit, upper limit, and 1 if the objective counts the joint, else 0
 
@@ -66,7 +66,7 @@ class Bounds(NamedTuple):
 
 @spliced
 def make_bounds(places, ends, what, limits):
-    """Return the Bounds of a chain for an objective, stored in the array `places` (3, n).
+    """Return the joint limits within which a secondary objective may move a solution, as Bounds stored in `places` (3, n).
 
     ends: the joint limits (Ends); what: a number of `Objectives`; limits: whether the joint limits are kept.
     """
@@ -83,9 +83,10 @@ def make_bounds(places, ends, what, limits):
 
 @inline
 def solved_problem(block, rows, ends, row, orders, n, what):
-    """Return what a refinement of an answer works on: problem, Orders, joint weights (n,), limits (Ends) and their Bounds.
+    """Return all that is needed to move on from the answer of a search: problem, Orders, joint weights (n,), limits and Bounds.
 
-    The q of the answer is in p.desk.q of the problem p. The arrays are those of `refine`, as views; block: scratch memory.
+    The problem p has the q of the answer in p.desk.q; the limits are `Ends`. The arrays are those of `refine`, as views; block:
+    scratch memory.
     """
     o = read(Orders, orders)
     first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
@@ -100,7 +101,10 @@ def solved_problem(block, rows, ends, row, orders, n, what):
 
 @inline
 def replace_answer(p, q, full, row):
-    """Write q (n,) and the errors that problem p keeps as BEST_OF_ALL to an answer `row`; full: `Ends`."""
+    """Replace q and the errors in an answer `row` by q (n,) and the errors that problem p has stored at index BEST_OF_ALL.
+
+    full: base, tip and joint limits (Ends).
+    """
     row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
     p.report(BEST_OF_ALL, row)
     for i in range(q.shape[0]):
@@ -135,7 +139,7 @@ def log_manipulability(p, ends):
 def objective_goal(what, ends, ref, i):
     """Return the value towards which an objective moves joint i: the middle of its range, or its value in `ref` (n,).
 
-    It is in rad or, for prismatic joints, in lengths over the reach (in `ref`: in metres). what: a number of `Objectives`.
+    It is in rad or, for prismatic joints, in arm reaches (in `ref`: in metres). what: a number of `Objectives`.
     """
     return ends.low(i) + 0.5 * ends.span(i) if what == OBJECTIVE.mid_range else ref[i] / ends.unit(i)
 
@@ -219,7 +223,8 @@ def downhill(p, what, ends, box, ref, value, z):
     n = q.shape[0]
     for i in range(n):
         z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
-    for i in range(n + 1):  # The last pass changes no joint and restores the Jacobian of q itself.
+    # Each pass changes one joint to differentiate numerically; the last one changes none and restores the Jacobian at q.
+    for i in range(n + 1):
         if i < n:
             if what != OBJECTIVE.manipulability:
                 continue
@@ -233,7 +238,7 @@ def downhill(p, what, ends, box, ref, value, z):
 
 @inline
 def secant(old, before, way, dq, gain):
-    """Return the step length of Barzilai and Borwein (1988), or `gain` if their formula gives no positive length.
+    """Return the length of the next downhill step, by the formula of Barzilai and Borwein (1988), or `gain` if it is not positive.
 
     old and before (n,): the present and the previous configuration; dq and way (n,): the downhill directions at these two.
     """
@@ -247,7 +252,7 @@ def secant(old, before, way, dq, gain):
 
 @inline
 def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
-    """Improve a solution by a secondary objective, see `refine`, which gives all scratch memory as one array, `block`.
+    """Do the work of `refine`, whose arguments these are, except for `block`: one array for all scratch memory.
 
     The arrays cut from it are views, so that nothing is allocated here.
     """
@@ -257,7 +262,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)
     gain = 1.0
-    fresh = False  # whether the last step was an improvement
+    fresh = False  # whether the last step has lowered the objective
     value = np.inf
     taken = 0
     for k in range(steps + 1):
@@ -320,10 +325,10 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
 
 @dual
 def is_wide(J, m):
-    """Return whether a Jacobian has at least as many joints as errors that joints move; a row of zeros moves none.
+    """Return whether a Jacobian has at least as many joints as errors that its joints can change.
 
-    J (n, m) is transposed: it has a column for each error. If the result is true, JJ' is factored for the pseudo-inverse, else J'J,
-    which is singular if some motion of the joints moves nothing.
+    J (n, m) is transposed: it has a column for each error; if the column is 0, no joint changes the error. If the result is true,
+    JJ' is factored for the pseudo-inverse, else J'J, which is singular if some motion of the joints moves nothing.
     """
     n, top, moved = J.shape[0], 0.0, 0
     if n >= m:

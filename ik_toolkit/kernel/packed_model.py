@@ -25,7 +25,7 @@ def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.nda
 
 @compiled
 class Parts(NamedTuple):
-    """The parts of a packed array, for L joints, F tips, n coordinates and N precomputed starts."""
+    """The arrays of a robot that `join` has packed into one: L joints, F tips, n coordinates and N precomputed starts."""
 
     rows: Array  # (L, 10) geometry of the joints
     ends: Array  # (F * K,) K numbers for each tip: base, tip and limits, see `records.Ends`
@@ -35,13 +35,13 @@ class Parts(NamedTuple):
 
 @inline
 def array_sizes(chain):
-    """Return the counts at the start of a packed array: joints, tips, numbers in `ends` of one tip, coordinates, and starts."""
+    """Return the five counts at the start of a packed array: joints, tips, numbers in `ends` of a tip, coordinates, and starts."""
     return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
 
 
 @inline
 def part(chain):
-    """Return the four arrays in a packed array `chain`, as views of it."""
+    """Return the four arrays that `join` has packed into the array `chain`, as views of it."""
     L, F, K, n, N = array_sizes(chain)
     at_ends = COUNTS + ROW * L
     at_seeds = at_ends + F * K

@@ -2,7 +2,7 @@
 
 Both have the same methods, so solver rules and loops are written once. Lengths inside are divided by the arm's reach.
 
-    aim(T, orders)     take a target; returns the length by which it is out of reach [over the reach], -1 if it is not a pose
+    aim(T, orders)     take a target; returns the length by which it is out of reach [arm reaches], -1 if it is not a pose
     evaluate(q)        return the errors at q as a record e: e.ee is their squared norm, e.good says if they are in tolerance
     stand(q), see()    do the two halves of `evaluate`: compute the pose at q, then its errors (for several targets in turn)
     jacobian(look)     fill J (n, m): one joint a row, six columns a tip, linear part first; look: errors from `evaluate`
@@ -47,7 +47,8 @@ from .records import WHAT, Array
 # Length of a goal, the array that holds a target: the pose that the search aims at (12), then the target's own position (3). The
 # two positions differ if the target is out of reach.
 GOAL = 15
-# Indices of stored errors in `Desk.errors`: those of the best attempt, of the solution nearest q0, and of the present evaluation.
+# Indices at which errors are stored in `Desk.errors`: those of the best attempt, of the solution nearest q0, and of the
+# configuration evaluated last.
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
 
 
@@ -63,7 +64,7 @@ class Desk(NamedTuple):
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
     y: Array  # (m,) errors of the step, with rotations as rotation vectors
-    # (m,) only for several tips: the errors whose sum of squares is minimised, rotations as 2 sin(angle/2) times the axis
+    # (m,) for several tips only: the errors whose sum of squares is minimised, rotations as 2 sin(angle/2) times the axis
     e: Array
     # (3,) number of evaluations made, number allowed, and number of the attempt (with levels its phase, see `level_search.Phases`)
     spent: Array
@@ -71,7 +72,7 @@ class Desk(NamedTuple):
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
-        """Return whether the budget allows a solver rule this number of evaluations, and one more for the search itself."""
+        """Return whether enough evaluations are left for this number by a solver rule, and one more by the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
@@ -90,7 +91,7 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position [over the reach] and rotation for targets of a kind of `TargetKinds`.
+    """Return the squared tolerances of position [arm reaches] and rotation for targets of a kind of `TargetKinds`.
 
     Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts. orders: an `Orders`; scale:
     internal unit of length [m].
@@ -103,8 +104,8 @@ def tolerances(orders, kind, scale):
 def take(T, ends, task, goal, orders):
     """Write a target T (4, 4) [m, base axes] to goal (GOAL,), in the frame and the units of the search.
 
-    Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose. ends: `Ends`; task:
-    numbers of a `Task`; orders: an `Orders`.
+    Returns the length [arm reaches] by which the target is proven out of reach, -1 if T is not a pose. ends: `Ends`; task: the
+    fields of a `Task`; orders: an `Orders`.
     """
     if not rigid(T, RIGID.axes):
         return -1.0
@@ -119,7 +120,7 @@ def take(T, ends, task, goal, orders):
 
 @inline
 def from_target(goal, linear):
-    """Return the position error measured from the target itself; `linear` is measured from the point that the search aims at.
+    """Return a position error measured from the target itself, given one, `linear`, measured from the point the search aims at.
 
     The two points differ if the search aims at the edge of the reach, which it never does if only a part of the error counts. goal:
     (GOAL,) target.
@@ -141,7 +142,7 @@ def tip_at(rows, ends, q, joints, trig):
 def errors_at(task, ends, goal, kept, axes, tip):
     """Return the part of a tip's pose error (linear, angular) that counts.
 
-    task: numbers of a `Task`, which say what counts; ends: `Ends`; goal: (GOAL,) target; kept: (IN.size,) is filled by `shape`;
+    task: the fields of a `Task`, which say what counts; ends: `Ends`; goal: (GOAL,) target; kept: (IN.size,) is filled by `shape`;
     axes (M3), tip (V3): from `tip_at`.
     """
     linear, angular = pose_error(goal, axes, tip)
@@ -216,7 +217,7 @@ def add_column(J, i, first, ratio, u, v):
 def to_base(ends, task, y, out):
     """Write to out (6,) the errors y (6,) of one tip from `stack`, converted to base axes and metres.
 
-    If only a part of the error counts, they stay in the task's axes. ends: `Ends`; task: numbers of a `Task`.
+    If only a part of the error counts, they stay in the task's axes. ends: `Ends`; task: the fields of a `Task`.
     """
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
     if int(task[WHAT.kind]) < KIND.free:
@@ -228,7 +229,7 @@ def to_base(ends, task, y, out):
 
 @inline
 def local_motion(axes, scale, task, kept, V, out):
-    """Write to out (6,) a twist or acceleration V (6,) of a target [m, rad], converted to the errors that count.
+    """Convert a twist or acceleration V (6,) of a target [m, rad] to a rate of the errors that count, and write it to out (6,).
 
     The result's lengths are over the arm's reach; its axes are the first joint's, or the task's if only a part of the error counts.
     axes (M3): turns the axes of V into those of the first joint; scale: internal unit of length [m]; task, kept: as for

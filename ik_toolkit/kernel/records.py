@@ -27,16 +27,16 @@ class Orders(NamedTuple):
     given: float  # 1 if the first attempt starts at q0, else 0
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
-    c: float  # An attempt from a start in the table is given up in iteration k if its squared error exceeds c rho^k.
-    rho: float  # factor of that bound in each iteration (see c)
+    c: float  # An attempt from a precomputed start is given up in iteration k if its squared error exceeds c rho^k.
+    rho: float  # factor by which the bound c rho^k on the squared error falls in each iteration
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
-    rho_free: float  # factor of that bound in each iteration (see c_free)
+    rho_free: float  # factor by which the bound c_free rho_free^k falls in each iteration
     patience: float  # number of the first attempt that gets more iterations, see `search.GiveUpRules`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
     seed: float  # seed of the random starts
     closest: float  # number of solutions to find, of which the one nearest q0 is chosen; 0 accepts the first
-    hold: float  # 1 if joints pushed past a limit are held and the step is computed again, else 0
+    hold: float  # 1 if joints that a step pushes past a limit are held and the step is computed again, else 0
     follow: float  # largest move of a revolute joint away from q0 [rad]; 0 allows any
     follow_slide: float  # largest move of a prismatic joint away from q0 [m]; 0 allows any
 
@@ -44,7 +44,7 @@ class Orders(NamedTuple):
 class Task(NamedTuple):
     """Which part of a tip's pose error counts: the numbers that stand for one target in an `orders` array.
 
-    Lengths are over the reach; the free axis is in the last joint's frame.
+    Lengths are divided by the arm's reach; the free axis is in the last joint's frame.
     """
 
     kind: float  # a number of `counted_error.TargetKinds`
@@ -54,14 +54,15 @@ class Task(NamedTuple):
     ax: float = 0.0
     ay: float = 0.0
     az: float = 0.0
-    # w0 to w2 are the weights of the position error, w3 to w5 of the rotation error; an error of weight 0 does not count.
+    # w0 to w2 are weights of the position error, w3 to w5 of the rotation error; a component with weight 0 does not count.
     w0: float = 1.0
     w1: float = 1.0
     w2: float = 1.0
     w3: float = 1.0
     w4: float = 1.0
     w5: float = 1.0
-    # s0 to s5 are dead bands: errors up to this size count as zero, in the order of the weights [over the reach, rad]
+    # s0 to s5 are dead bands of the position (3) [arm reaches] and rotation errors (3) [rad]: a component up to this size counts as
+    # 0.
     s0: float = 0.0
     s1: float = 0.0
     s2: float = 0.0
@@ -74,7 +75,7 @@ class Task(NamedTuple):
 class Answer(NamedTuple):
     """Result of a solve: the start of a row of results. Then comes q (n), and for several tips a `Miss` for each tip."""
 
-    status: float  # one of the codes of `checks`
+    status: float  # a number of `checks.StatusCodes`
     iterations: float  # number of iterations of all attempts
     restarts: float  # number of attempts after the first one
     position: float  # position error [m], the largest of all tips
@@ -84,7 +85,7 @@ class Answer(NamedTuple):
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
     held: float  # index of the joint that the option `follow` holds back most (status TOO_FAR), or -1
-    agreed: float  # number of attempts that found this minimum, in a search by levels; else 0
+    agreed: float  # in a search by levels: number of attempts that found this minimum; else 0
 
 
 @compiled
@@ -101,10 +102,11 @@ class ArraySizes(NamedTuple):
 
     orders: int = len(Orders._fields)
     task: int = len(Task._fields)
-    weights: int = len(Orders._fields) + len(Task._fields)  # the two together, for one tip; the joint weights follow
+    # length of `Orders` and one `Task` together: for one tip, the index at which the joint weights begin
+    weights: int = len(Orders._fields) + len(Task._fields)
     answer: int = len(Answer._fields)
     miss: int = len(Miss._fields)
-    # a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
+    # how many numbers precede q in a row of a search's history: position error [m], rotation error [rad], number of the attempt
     past: int = 3
 
 
@@ -113,13 +115,13 @@ SIZE = ArraySizes()
 AT = Answer._make(range(SIZE.answer))
 ORDER = Orders._make(range(SIZE.orders))
 WHAT: Any = Task._make(range(SIZE.task))
-# where the numbers of the coordinates begin in the array of `Ends`, after the poses of base (12) and tip (12)
+# index in the array of `Ends` at which the numbers of the coordinates begin, after the poses of base (12) and tip (12)
 POINTS = 24
 
 
 @compiled
 class Ends(NamedTuple):
-    """Both ends of a chain and the limits of its n coordinates, in one flat array, because passing each array takes time.
+    """The base and tip of a chain and the limits of its n coordinates, in one flat array, which is faster to pass than several.
 
     The array holds the poses of base and tip (each a rotation matrix by rows, then a point), n numbers for each property of the
     coordinates, then the numbers of the chain as a whole. Lengths are divided by `scale`, a power of two near the reach.
@@ -143,11 +145,11 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 3 * self.n + i]
 
     def low(self, i):
-        """Return the lower end of the range in which coordinate i of random starts is drawn."""
+        """Return the lower end of the range from which coordinate i of a random start is drawn."""
         return self.flat[POINTS + 4 * self.n + i]
 
     def span(self, i):
-        """Return the width of the range in which coordinate i of random starts is drawn."""
+        """Return the width of the range from which coordinate i of a random start is drawn."""
         return self.flat[POINTS + 5 * self.n + i]
 
     def home(self, i):
@@ -158,7 +160,7 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 7 * self.n]
 
     def bound(self, k):
-        """Return one of six bounds [over the reach] on where the arm can reach.
+        """Return one of six bounds [arm reaches] on where the arm can reach.
 
         k = 0 and 1: largest and smallest distance of the tip from the first joint; k = 2 and 3: the same for the last joint instead
         of the tip. k = 4 and 5: lowest and highest position of the base of the arm, which may be mounted on a vertical prismatic
@@ -190,13 +192,13 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-# Making a record that holds an array needs numba's reference counting, which INLINE leaves out.
+# A record that holds an array needs numba's reference counting, which the option INLINE leaves out.
 @overload(read, jit_options=BUILD)
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    # A class whose only field is an array receives all remaining numbers.
+    # If the only field of the class is an array, it receives all remaining numbers.
     return lambda cls, array, start=0: make(array[start:])
 
 

@@ -7,16 +7,16 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# TURN, POINT and FRAME are indices in an array (LINK,), which describes a target fixed to another tip.
+# A target fixed to another tip is described by an array (LINK,); TURN, POINT and FRAME are the indices of its parts.
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other tip's first joint, in the frame of the first joint of the tip that has the target
-LINK = 24  # length of this array: 9 + 3 + 12
+LINK = 24  # length of the array that describes a target fixed to another tip: 9 + 3 + 12
 
 
 @inner
 def link_to(T, ends, other, link):
-    """Write to link (LINK,) a target T (4, 4) [m] that is given in another tip's frame.
+    """Write to link (LINK,) the description of a target T (4, 4) [m] that is given in another tip's frame.
 
     `ends` is the `Ends` of the tip that has this target, `other` the `Ends` of the tip in whose frame it is given.
     """
@@ -31,7 +31,7 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) the present pose of a target that is fixed to another tip as `link` (LINK,) says.
+    """Write to goal (GOAL,) where a target that is fixed to another tip is now, from its description `link` (see `link_to`).
 
     pose (12,): axes of the last joint in the other tip's chain (9), then the position of that tip (3).
     """
@@ -43,7 +43,7 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract the motion of a tip's target, which moves with another tip, from the transposed Jacobian J (n, m).
+    """Complete the transposed Jacobian J (n, m) of a tip whose target moves with another tip: subtract the target's motion.
 
     Args:
         rows: (L, 10) geometry of the other tip's chain.
@@ -66,10 +66,11 @@ def fill_goal(rows, task, kept, joints, pose, link, J, first):
 
 @inner
 def add_goal_curvature(own_rows, own_joints, rows, joints, pose, link, bend, H):
-    """Add to H (n, n) what `counted_error.add_curvature` leaves out if a tip's target moves with another tip.
+    """Add to the Hessian H (n, n) the second derivatives of a tip's errors that come from the motion of its target.
 
-    A pair of joints of the other chain acts as one of the tip's own does when tip and target change places; a pair of one joint
-    from each chain acts on the rotation alone, as if the other chain, walked backwards, came before the tip's own.
+    The target moves with another tip; `counted_error.add_curvature` has the part of the tip's own joints. A pair of joints of the
+    other chain acts as a pair of the tip's own does when tip and target change places. A pair of one joint from each chain acts on
+    the rotation alone, as if the other chain, taken backwards, came before the tip's own.
 
     Args:
         own_rows: (L, 10) geometry of the chain of the tip that has the target.

@@ -43,11 +43,11 @@ class GiveUpRules(NamedTuple):
     patient_iterations: float = 2.0  # by how much the highest number of iterations is multiplied in a patient attempt
     patient_decay: float = 0.6  # factor of the bound in each iteration of a patient attempt
     unreachable_attempts: int = 3  # number of attempts if a target is proven out of reach; they aim at the reach's edge
-    rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
+    rounding: float = 1e-9  # squared error below which no attempt is given up, because what is left of it is rounding
     overflow: float = 1e300  # squared error above which an attempt ends, because it has diverged
-    # size of a coordinate [rad, or length over the reach] above which an attempt ends, because it has diverged
+    # size of a coordinate [rad or arm reaches] above which an attempt ends, because it has diverged
     far_off: float = 1e6
-    # A step counts as standing still if no joint moves further than this [rad, or length over the reach].
+    # A step counts as no move if no joint moves further than this [rad or arm reaches].
     rest: float = 1e-9
 
 
@@ -56,7 +56,7 @@ END = GiveUpRules()
 
 @compiled
 class SearchInput(NamedTuple):
-    """What a search is given for all targets of a call, and the arrays that it writes to."""
+    """What a search of one or many targets is given, and the arrays to which it writes."""
 
     orders: Orders
     near: Ends  # the limits of a step, narrower than those of the joints if the option `follow` is set
@@ -77,8 +77,8 @@ class Patience(NamedTuple):
 
     iterations: float  # highest number of iterations
     ceiling: float  # squared error above which the attempt is given up in its first iteration
-    decay: float  # factor by which this bound on the squared error changes in each further iteration
-    # An attempt nearer than this to `SearchInput.closest` [squared distance] ends, because it would end there (0: never).
+    decay: float  # factor by which `ceiling` changes in each further iteration
+    # An attempt nearer than this [squared distance] to `SearchInput.closest` ends, because it would end there anyway; 0: none.
     known: float
 
 
@@ -99,12 +99,12 @@ class Attempts(NamedTuple):
     tries: int
     cut_off: int  # number of attempts that ended at the iteration limit
     found: int  # number of the attempt that found the answer, 0 for the first
-    slot: int  # index at which the errors of the answer are stored: BEST_OF_ALL or NEAREST
+    slot: int  # index of the answer's errors in `Desk.errors`: BEST_OF_ALL or NEAREST
 
 
 @inline
 def judge_evaluation(e, k, ceiling, patience, count, o):
-    """Return the final status of an attempt after evaluation e in its iteration k, or CODE.going if it continues.
+    """Return the status with which an attempt ends after evaluation e in its iteration k, or CODE.going if it continues.
 
     ceiling: squared error above which the attempt is given up; patience: limits of the attempt; count: evaluations so far; o: the
     options of the solve (Orders).
@@ -179,7 +179,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
         if needs_jacobian:
             p.jacobian(e)
         k += 1.0
-        # A value below 0 is a rank from `level_search.rank_errors`, and means that level 0 is met.
+        # A negative `ee` is a rank from `level_search.rank_errors`, and means that the errors of first priority are in tolerance.
         ceiling = patience.ceiling if e.ee < 0.0 else ceiling * patience.decay
         copy(job.weights, w)
         p.desk.spent[0] = count
@@ -204,7 +204,7 @@ def search(rule, p, job, needs_jacobian, excess):
     """Make attempts until one converges, or as many as the option `closest` asks for, and choose among their results.
 
     The start p.desk.start (n,) is q0 or home. rule: the solver rule; job: `SearchInput`; needs_jacobian: whether the rule reads
-    p.desk.J; `excess` > 0 is by how much the target is proven out of reach [over the reach]. Leaves q of the answer in p.desk.q.
+    p.desk.J; `excess` > 0 is by how much the target is proven out of reach [arm reaches]. Leaves q of the answer in p.desk.q.
     Returns the Answer, and the index of its errors in `Desk.errors` (BEST_OF_ALL or NEAREST).
     """
     o, q, start = job.orders, p.desk.q, p.desk.start
@@ -246,7 +246,7 @@ def search(rule, p, job, needs_jacobian, excess):
 
 @inner
 def conclude(p, job, made, spent, excess):
-    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start; return its status, counts and errors (Answer)."""
+    """Put the answer of a search into p.desk.q, shifted by 2 pi k to be nearest the start; return status, counts and errors."""
     o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
@@ -264,7 +264,8 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CODE.converged and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
+        # Rounding in the shift by 2 pi has brought the error above a tolerance.
+        if status == CODE.converged and not e.good:
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -290,7 +291,7 @@ def conclude(p, job, made, spent, excess):
 def start_attempt(p, job, k, excess):
     """Put the start of attempt k into p.desk.q, and return the attempt's iteration limit and give-up bound (Patience).
 
-    k < 0 is the attempt from q0. Attempts 0 to BEST - 1 start from the table, nearest first, and all later ones at random.
+    k < 0 is the attempt from q0. Attempts 0 to BEST - 1 begin at precomputed starts, nearest first, later ones at random.
     """
     o, q = job.orders, p.desk.q
     iterations, ceiling, decay = o.iterations, o.c_free, o.rho_free
@@ -325,7 +326,7 @@ def _seek(rule, p, job, needs_jacobian, excess):
 
 @inline
 def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
-    """Do the work of the compiled search that `entry` returns, with the arguments given as views; block: scratch memory."""
+    """Solve for all targets of one call: the body of the function that `entry` returns, with its arrays as views."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
@@ -341,7 +342,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[SIZE.orders : first], n, o)
-    # Both read the limits of the first tip, because all tips have the same limits.
+    # `Ends` reads the limits of the first tip, which are the same for all tips.
     box, near = Ends(ends, n), Ends(near_ends, n)
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))

@@ -54,7 +54,7 @@ class Serial(NamedTuple):
     task: Array  # (SIZE.task,) which part of the error counts, see `records.Task`
     goal: Array  # (GOAL,) the target
     kept: Array  # (IN.size,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (12,) pose computed last (by the method `stand`): axes of the last joint by rows, then the tip's position
+    # (12,) pose that the method `stand` has computed last: axes of the last joint by rows, then the tip's position
     pose: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints
@@ -71,7 +71,7 @@ class Serial(NamedTuple):
         return self.look(axes, tip)
 
     def look(self, axes, tip):
-        """Return the errors to the target, as a Look, with the last joint's frame in these axes and the tip at this position."""
+        """Return the errors to the target, as a Look, for given axes of the last joint and a given position of the tip."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
@@ -112,7 +112,7 @@ class Serial(NamedTuple):
         return V3(J[i, 0], J[i, 1], J[i, 2]).dot(look.linear) + V3(J[i, 3], J[i, 4], J[i, 5]).dot(look.angular)
 
     def norm(self, look, weight):
-        """Return the norm of the position error and the rotation vector of `look`, the latter multiplied by `weight`."""
+        """Return the norm of the errors `look`: position error and rotation vector, the latter multiplied by `weight`."""
         ratio = weight * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
@@ -124,7 +124,7 @@ class Serial(NamedTuple):
         """Return the move of coordinate i alone that minimises the error `look`.
 
         The move is exact if only the position counts and the joint is revolute, else it minimises the linearised error. It is 0 if
-        a measure of the coordinate's effect on the error is at most `least`.
+        the coordinate hardly changes the error: if its effect is at most `least`.
         """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])
@@ -145,12 +145,12 @@ class Serial(NamedTuple):
         return top / size if size > least else 0.0
 
     def try_out(self, q):
-        """Return the errors at q (n,) for a solver rule that tests moves; the evaluation counts towards the budget."""
+        """Return the errors at q (n,) for a solver rule that tries moves, and count the evaluation towards its budget."""
         self.desk.spent[0] += 1.0
         return self.evaluate(q)
 
     def undo(self, look):
-        """Evaluate again at desk.q, which the caller has restored: `try_out` has changed `kept`, which the Jacobian needs."""
+        """Evaluate at desk.q again, where the caller has put back q after `try_out`, which overwrote what the Jacobian needs."""
         if int(self.task[WHAT.kind]) > KIND.position:
             self.try_out(self.desk.q)
 
@@ -232,14 +232,14 @@ class Serial(NamedTuple):
 def serial_on(block, rows, ends, tasks, n, orders):
     """Return the problem of one tip, with its scratch arrays cut from the memory `block`.
 
-    rows: (L, 10) geometry; ends: numbers of `records.Ends`; tasks: array that begins with a `Task`; n: number of coordinates;
+    rows: (L, 10) geometry; ends: the array of a `records.Ends`; tasks: array that begins with a `Task`; n: number of coordinates;
     orders: an `Orders`.
     """
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, IN.size, 12, size, angles))
-    # The sines of the padding of `trig` are computed, too, so the padding must hold valid numbers.
+    # `trig` is longer than needed, and the sines of these unused numbers are computed as well, so they must be valid.
     clear(trig)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     desk, task, own = make_desk(block, n, 6), tasks[: SIZE.task], own_coordinates(rows, n)

@@ -30,13 +30,13 @@ from .search import END, last_attempt
 from .serial import serial_on
 from .starts import BEST, make_table, rnd, seed_sequence
 
-LEFT = -1  # status: the target is left to the ordinary search (search.py)
-# An attempt is given up when 1 + cos of the angle of rotation that is left is below this, because the axis of this rotation is then
-# inaccurate.
+LEFT = -1  # status of a target that is left to the ordinary search (search.py)
+# An attempt is given up when the rotation that is left is near half a turn (1 + cos of its angle is below this), because its axis
+# is inaccurate then.
 HALF_TURN = 5e-4
 # Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
 ATTEMPTS = 32
-ALL = (1 << WIDTH) - 1  # a mask as a whole number (see `simd.bits`) in which every lane is set
+ALL = (1 << WIDTH) - 1  # mask in which all lanes are set, as a whole number (see `simd.bits`)
 
 
 @compiled
@@ -55,7 +55,7 @@ class Lanes(NamedTuple):
     rr: Array  # (1, 8) squared rotation error of the last evaluation
     which: Array  # (8,) index of the target, -1 for a lane without one
     tries: Array  # (8,) attempts made at the target
-    starts: Array  # (8, BEST) indices of the precomputed configurations to start from
+    starts: Array  # (8, BEST) indices of the precomputed configurations from which the first attempts start
     state: Array  # (8, 1) states of the random sequences
 
 
@@ -70,7 +70,7 @@ class Call(NamedTuple):
 
 @spliced
 def make_lanes(block, n):
-    """Return Lanes without targets for a chain of n joints, with scratch arrays cut from the memory `block`."""
+    """Return Lanes that have no targets yet, for a chain of n joints, with arrays cut from the scratch memory `block`."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
@@ -90,10 +90,10 @@ def make_lanes(block, n):
 
 @spliced
 def lane_errors(rows, tip, s, turning):
-    """Return the tip, its linear and angular error, and 1 + cos of the angle that remains; below HALF_TURN `angular` is not valid.
+    """Return, for each lane, the tip's position, its position and rotation error, and 1 + cos of the angle of rotation left.
 
-    rows: (L, 10) geometry; tip (V3): position of the tip in the last joint's frame; s: `Lanes`; turning: factor of the rotation
-    error, 0 if only the position counts, else 1.
+    If the last is below HALF_TURN, the rotation error is not valid. rows: (L, 10) geometry; tip (V3): position of the tip in the
+    last joint's frame; s: `Lanes`; turning: factor of the rotation error, 0 if only the position counts, else 1.
     """
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
@@ -104,7 +104,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits in all lanes, holding joints that the gradient pushes past a limit.
+    """Take a damped step inside the joint limits for eight targets at once; joints that the gradient pushes past a limit are held.
 
     s.joints is replaced by the Jacobian. rows: (L, 10) geometry; s: `Lanes`; ends: `Ends`; turning, point, linear, angular: as in
     `lane_errors`; damping: one number a lane.
@@ -130,14 +130,15 @@ def limited_step(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
             q = lane_select((q < low) | (q > high), back, q)
-        q = lane_select(q < low, full(low), q)  # After a shift by 2 pi the value may be just outside by rounding.
+        # Rounding in a shift by 2 pi may bring the value just outside the limits.
+        q = lane_select(q < low, full(low), q)
         q = lane_select(q > high, full(high), q)
         put(s.Q, i, q)
 
 
 @spliced
 def take_target(p, o, ends, table, s, lane, t, call):
-    """Put target number t into a lane; return False if it must be left to the ordinary search.
+    """Put target number t into a lane (place) of the SIMD vectors; return False if it must be left to the ordinary search.
 
     p: the problem of one tip; o: `Orders`; ends: `Ends`; table: `StartTable`; s: `Lanes`; call: `Call`.
     """
@@ -159,7 +160,7 @@ def take_target(p, o, ends, table, s, lane, t, call):
 
 @spliced
 def begin_attempt(o, ends, seeds, s, lane, Q0, last):
-    """Set the start and the give-up bound of the next attempt at the target of a lane.
+    """Begin the next attempt at the target in a lane (place) of the SIMD vectors: set its start and its give-up bound.
 
     o: `Orders`; ends: `Ends`; seeds, Q0: starts of the table and of the caller; s: `Lanes`; last: number of the attempt that is
     never given up early, see `search.last_attempt`.
@@ -185,7 +186,7 @@ def begin_attempt(o, ends, seeds, s, lane, Q0, last):
 
 @spliced
 def write_answer(p, o, ends, s, lane, wanted, call):
-    """Write the answer of a lane to its row of call.out, each joint shifted by 2 pi k to be nearest the start.
+    """Write the answer for the target in a lane to its row of call.out, each joint shifted by 2 pi k to be nearest the start.
 
     If rounding in the shift brings the answer out of tolerance, nothing is written, and the target is left to the ordinary search.
     wanted (n,) is scratch; the other arguments are those of `take_target`.
@@ -204,7 +205,7 @@ def write_answer(p, o, ends, s, lane, wanted, call):
         # The target is in reach, so the search aims at the target itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # Rounding in the shift by 2 pi may exceed a tolerance that was just met.
+        if not e.good:  # Rounding in the shift by 2 pi may have brought the error above a tolerance.
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)
@@ -219,9 +220,10 @@ def write_answer(p, o, ends, s, lane, wanted, call):
 
 @inline
 def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Solve until every target is done or left to the ordinary search; `lanes` compiles this and passes its arrays as views.
+    """Solve for all targets of one call, eight at a time, until each is done or left to the ordinary search.
 
-    chain: the array `ends` of a `Chain`; block: scratch memory.
+    This is the body of the function that `lanes` returns, with its arrays as views. chain: the array `ends` of a `Chain`; block:
+    scratch memory.
     """
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)

@@ -13,21 +13,23 @@ from .counted_error import KIND, counts
 from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
-SEEDS = 256  # number of configurations in the table of starts; to scan more costs more time than it saves in iterations
+# number of precomputed configurations to start from; scanning more takes more time than it saves in iterations
+SEEDS = 256
 BEST = 8  # number of attempts that start from precomputed configurations before random ones
-# numbers that describe a configuration's tip pose, by which it is compared with a target, see `chain.table`
+# how many numbers describe the tip pose of a precomputed start, by which it is compared with a target, see `chain.table`
 FEATURES = 13
-PAD = 16  # unused columns of the features, without which the rows would share one set of lines in the processor's cache
+# unused columns in the table of starts; without them its rows would compete for the same lines of the processor's cache
+PAD = 16
 
 
 class DistanceWeights(NamedTuple):
     """Weights of the terms in the squared distance of a configuration from a target.
 
-    The squared position error (over the reach) has weight 1. The values were chosen by hand, not derived.
+    The squared position error (in units of the arm's reach) has weight 1. The values were chosen by hand, not derived.
     """
 
     rotation: float = 0.05  # weight of the squared difference of the rotation matrices (Frobenius norm)
-    # weight of |q - home|^2, for one tip, so that of configurations almost equally far away the one nearest home is taken
+    # weight of |q - home|^2, for one tip: of configurations almost equally far from the target, the one nearest home is taken
     from_home: float = 0.01
 
 
@@ -35,7 +37,7 @@ DISTANCE = DistanceWeights()
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
-    """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
+    """Return random configurations (count, n) from which attempts start, between `low` and `high` (n,) [rad or arm reaches].
 
     Half of the configurations are moved halfway towards `home` (n,), because people expect answers near home. Blocks of BEST rows
     are moved and not moved in turn, so half of each group of `nearest_seeds` is. The seed is uncommon, so that no target that a
@@ -52,15 +54,15 @@ class StartTable(NamedTuple):
     """Precomputed configurations that attempts start from, and scratch arrays to rank them for a target."""
 
     seeds: Array  # (N, n) the precomputed configurations
-    # (FEATURES * tips, N + PAD) what the configurations are compared by, see `chain.table`. Rows that are BEST apart form a group,
-    # and the nearest of each group is a start.
+    # (FEATURES * tips, N + PAD) numbers by which the configurations are compared with a target, see `chain.table`. Configurations
+    # whose indices differ by multiples of BEST form a group; the nearest one of each group is a start.
     features: Array
     score: Array  # (N,) squared distance of each configuration from the target
-    val: Array  # (BEST,) least `score` of each group, in the order of `best`
+    val: Array  # (BEST,) least squared distance in each group, in the order of `best`
     best: Array  # (BEST,) the rows to start from (for one tip) or the groups to start from (for several tips), nearest first
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
-    state: Array  # (1,) state of the random sequence that gives the later starts
+    state: Array  # (1,) state of the random sequence from which later starts are drawn
 
 
 @inline
@@ -84,7 +86,7 @@ def product_64(a, b):
 
 @inline
 def seed_sequence(state, seed):
-    """Start a random sequence, whose state is an array (1,), from a seed.
+    """Start a sequence of random numbers from a seed; its state is an array (1,).
 
     The sequence depends on nothing else, such as other targets or the thread.
     """
@@ -93,7 +95,7 @@ def seed_sequence(state, seed):
 
 @inner
 def nearest_seeds(feat, goal, wp, wr, score, val, best):
-    """Fill best (BEST,) with the row nearest a target in each of BEST groups of the table of starts, nearest first.
+    """Find the precomputed starts nearest to a target: the nearest one in each of BEST groups, written to best (BEST,) in order.
 
     Group b has the rows b, b + BEST, b + 2 BEST and so on. feat: (FEATURES, N + PAD) features of the rows, see `chain.table`; goal:
     (GOAL,) target; wp and wr are 0 if the target leaves position or rotation free, else 1. score (N,) and val (BEST,) are scratch.
@@ -145,17 +147,19 @@ def rnd(state):
 
 @inner
 def rank_groups(p, table):
-    """Find the best configuration for each tip in each group of the table, and sort the groups by their total distance.
+    """Choose starts for a robot with several tips: in each group of the table, the configuration nearest each tip's target.
 
-    A target relative to another tip is placed as if the other tip were at its own target, or else at its start. p: the TreeProblem;
-    table: `StartTable`, whose arrays `best` and `choice` receive the result.
+    The groups are then sorted by the sum of the tips' distances. A target relative to another tip is placed as if the other tip
+    were at its own target, or else at its start. p: the TreeProblem; table: `StartTable`, whose arrays `best` and `choice` receive
+    the result.
     """
     F = p.tasks.shape[0]
     for f in range(F):
         if int(p.tasks[f, WHAT.kind]) == KIND.free and int(p.tasks[f, WHAT.other]) < 0:
             p.place(f, p.desk.start)
             copy(p.poses[f], p.goals[f])
-    for _ in range(F):  # The other tip's target may be relative as well, so placing all goals takes up to F passes.
+    # The tip that a target is relative to may have a relative target as well, so placing all targets takes up to F passes.
+    for _ in range(F):
         for f in range(F):
             other = int(p.tasks[f, WHAT.other])
             if other >= 0:
@@ -172,7 +176,7 @@ def rank_groups(p, table):
             g = table.best[k] % BEST
             table.choice[g, f] = table.best[k]
             table.total[g] += table.val[k]
-    for k in range(BEST):  # The groups are sorted into table.best, the least total first.
+    for k in range(BEST):  # table.best becomes the list of groups, the one with the least total distance first.
         first = 0
         for g in range(BEST):
             if table.total[g] < table.total[first]:
@@ -183,7 +187,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q (n,) to precomputed start k: each joint has its value in the row that was chosen for its tip.
+    """Set q (n,) to precomputed start k of several tips: each joint has its value in the configuration chosen for its tip.
 
     Joints of a tip without a target start at q0 or home. p: the TreeProblem; table: `StartTable`, sorted by `rank_groups`.
     """
@@ -197,7 +201,7 @@ def begin_each_tip(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Set q (n,) to random start k.
+    """Set q (n,) to random start k of a robot with several tips.
 
     If any tip has reached its target, shared joints and the joints of such tips mostly keep their values, because to draw all
     joints at once seldom gives a good start for all tips. p: the TreeProblem; table: `StartTable`.
@@ -205,7 +209,7 @@ def draw_some(p, table, k, q):
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
-    some = some and k % 4 > 0  # Every fourth start draws all joints again.
+    some = some and k % 4 > 0  # Every fourth random start draws all joints again, even if some tips have arrived.
     ends = Ends(p.ends[0], p.desk.q.shape[0])
     for i in range(q.shape[0]):
         a = ends.low(i) + ends.span(i) * rnd(table.state)
@@ -218,10 +222,11 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """List which coordinates change errors of a tip (`moves`), and which tip chooses the start of each (`choosers`), see `Tree`.
+    """Write which coordinates change errors of which tip (`moves`), and which tip chooses where each starts (`choosers`).
 
-    Coordinates that only move tips without a target are in neither. ends: a row for each tip; tasks: (F, SIZE.task); n: number of
-    coordinates; asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
+    Both arrays are explained at `tree.TreeProblem`. Coordinates that only move tips without a target are in neither. ends: a row
+    for each tip; tasks: (F, SIZE.task); n: number of coordinates; asked (F,) is scratch: 1 if a tip takes part, because it has a
+    target or another tip's target is relative to it.
     """
     # The last n numbers in a tip's row of `ends` flag the coordinates that move it.
     F, own = ends.shape[0], ends.shape[1] - n

@@ -34,8 +34,8 @@ from .relative import FRAME, LINK, add_goal_curvature, carry, fill_goal, link_to
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 from .vectors import clear, dot
 
-# A tip with a squared error [rad^2, or squared length over the reach] below this counts as arrived, and mostly keeps its joints in
-# the next random start.
+# A tip with a squared error [rad^2 or squared arm reaches] below this counts as arrived, and mostly keeps its joints in the next
+# random start.
 ARRIVED = 1e-4
 
 
@@ -63,12 +63,13 @@ class TreeProblem(NamedTuple):
     choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets that are relative to another tip, see `relative.link_to`
-    kept: Array  # (F, IN.size) for each tip, matrices that turn its error and its Jacobian columns into what counts of them
+    # (F, IN.size) for each tip, matrices that convert its error and its Jacobian columns to what counts of them
+    kept: Array
     # (F, GOAL) pose of each tip that the method `stand` has computed last: axes of the last joint by rows, then the tip's position
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
-    # (F, 2) length by which a tip's target is out of reach [over the reach], and the tip's squared error at the last evaluation
+    # (F, 2) length by which a tip's target is out of reach [arm reaches], and the tip's squared error at the last evaluation
     tips: Array
     orders: Orders
     boxed: bool  # whether joint limits are kept
@@ -101,7 +102,7 @@ class TreeProblem(NamedTuple):
         return aim_tips(self, T, orders)
 
     def place(self, f, q):
-        """Compute the pose of tip f at q (n,), and store it in poses[f]."""
+        """Compute the pose of tip f at q (n,), and store it as poses[f]."""
         rows = self.rows_of(f)
         trig = self.trig[: room(rows.shape[0])[1]]
         axes, tip = tip_at(rows, self.ends_of(f), q, self.joints_of(f), trig)
@@ -218,7 +219,7 @@ class TreeProblem(NamedTuple):
         for f in range(self.tasks.shape[0]):
             ends, other = self.ends_of(f), self.other_of(f)
             axes = transposed(rotation_at(ends.flat, 0))
-            if other >= 0:  # A target relative to another tip has its motion given in that tip's axes.
+            if other >= 0:  # The motion of a target relative to another tip is given in that tip's axes.
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
             local_motion(axes, ends.scale(), self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
@@ -289,7 +290,7 @@ class TreeProblem(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # The goal of a tip without a target is its start, but its distance from there does not count as an error.
+            # A tip without a target has its pose at the start as its goal, but its distance from there does not count as an error.
             free = self.kind_of(f) == KIND.free
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
@@ -310,9 +311,9 @@ class TreeProblem(NamedTuple):
 # ----------------------------------------- These run once per target, so they are compiled once and called, not inlined.
 @inner
 def aim_tips(p, T, orders):
-    """Take targets T (F, 4, 4) of all tips of a TreeProblem p.
+    """Set the targets T (F, 4, 4) of all tips of a TreeProblem p.
 
-    Returns the largest length [over the reach] by which a target is out of reach, or -1 if one is not a pose. orders: `Orders`.
+    Returns the largest length [arm reaches] by which a target is out of reach, or -1 if one is not a pose. orders: `Orders`.
     """
     worst = 0.0
     for f in range(p.tasks.shape[0]):
@@ -358,7 +359,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     """Return the problem of several tips, with its scratch arrays cut from the memory `block`.
 
     A row of `ends` is `records.Ends` of a tip, then its number of rows, then n flags: 1 if the coordinate moves the tip, else 0.
-    rows: (L, 10) geometry of all chains; tasks: the numbers of a `Task` for each tip, one after the other; orders: `Orders`.
+    rows: (L, 10) geometry of all chains; tasks: the fields of a `Task` for each tip, one after the other; orders: `Orders`.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
@@ -371,7 +372,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    # The sines of the padding of `trig` are computed, too, so the padding must hold valid numbers.
+    # `trig` is longer than needed, and the sines of these unused numbers are computed as well, so they must be valid.
     clear(trig)
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0

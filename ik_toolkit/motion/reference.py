@@ -18,9 +18,10 @@ from ..kernel.counted_error import KIND
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# N samples of a path position with its first and second derivative, or poses (N, 4, 4), twists (N, 6) and accelerations (N, 6)
+# N samples of a path coordinate s and its first and second derivatives, or of poses (N, 4, 4), twists (N, 6) and accelerations (N,
+# 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
-MAX_STEPS = 1e7  # largest number of samples in a run; that many already take over 1 GB of memory
+MAX_STEPS = 1e7  # largest number of samples of a moving target; that many already take over 1 GB of memory
 
 
 class Reference(Holds):
@@ -106,7 +107,7 @@ class Reference(Holds):
 
 
 def read_times(t: Any) -> np.ndarray:
-    """Return a time or times [s] as an array (N,). Raises InvalidOption if they are not finite or have the wrong shape."""
+    """Return one time or several [s] as an array (N,). Raises InvalidOption if they are not finite or have the wrong shape."""
     times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
     if times.ndim > 1 or not np.isfinite(times).all():
         raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
@@ -152,9 +153,10 @@ def _constant(x: np.ndarray) -> Samples:
 
 
 def minimum_jerk(x: np.ndarray) -> Samples:
-    """Return the rest-to-rest time law with the least integral of squared jerk, and its first and second derivative.
+    """Return the path coordinate s, from 0 to 1, of the minimum-jerk time law from rest to rest, and its derivatives by x.
 
-    x (N,) is the time over the duration; values outside 0 to 1 are clipped. Source: Flash and Hogan (1985).
+    It has the least integral of squared jerk. x (N,) is the time divided by the duration; values outside 0 to 1 are clipped.
+    Source: Flash and Hogan (1985).
     """
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
@@ -164,7 +166,7 @@ LAWS = {"constant": _constant, "minimum-jerk": minimum_jerk}
 
 
 def law_of(name: str) -> Callable[[np.ndarray], Samples]:
-    """Return the time law called `name` ("constant" or "minimum-jerk"). Raises InvalidOption if there is none."""
+    """Return the time law, a function, called `name` ("constant" or "minimum-jerk"). Raises InvalidOption for other names."""
     return LAWS[one_of(name, LAWS, "time law")]
 
 
@@ -212,9 +214,9 @@ def _along(
 
 
 def still(count: int, R0: np.ndarray | None) -> Samples:
-    """Return poses (count, 4, 4) of a tip that rests at the origin with rotation R0 (3, 3) (None: identity).
+    """Return poses (count, 4, 4), twists and accelerations of a tip that rests at the origin with rotation R0 (None: identity).
 
-    The twists and accelerations, both (count, 6), that are returned with them are 0.
+    The twists and accelerations, both (count, 6), are 0. A caller fills in what moves. R0: (3, 3).
     """
     T = np.zeros((count, 4, 4))
     T[:, :3, :3] = np.eye(3) if R0 is None else R0
@@ -248,7 +250,7 @@ def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return poses (M, F, 4, 4) at positions `at` (M,) on the path through the poses T (N, F, 4, 4).
+    """Return interpolated poses (M, F, 4, 4) at positions `at` (M,) on the path through the poses T (N, F, 4, 4).
 
     F is the number of tips. Position 3.5 is halfway from pose 3 to pose 4: on the straight line, with the rotation interpolated
     about a fixed axis. `kinds` has the kind of target (KIND) of each tip; a tip whose orientation is free keeps the rotation of the

@@ -62,9 +62,9 @@ class Teleop:
         self.dead_band: tuple[float, float] = (float(band[0]), float(band[1]))
         self.speed, self.turn = positive(speed, "speed [m/s]"), positive(turn, "turn [rad/s]")
         self.engaged = False
-        self._released = True  # whether the clutch was released since the target was last set
+        self._released = True  # whether the clutch has been released since the target was last set
         self._anchor: tuple[np.ndarray, np.ndarray] | None = None
-        # The rotation vector of the controller since the clutch was engaged may be longer than pi.
+        # rotation vector of the controller's motion since the clutch was engaged, which may be longer than pi
         self._turned = np.zeros(3)
 
     def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
@@ -82,7 +82,7 @@ class Teleop:
             InvalidTarget: T_controller is not a pose; the target has not moved.
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
-        # A release of the clutch takes effect even if the device sends an invalid pose.
+        # A release of the clutch takes effect even if the device sends an invalid pose with it.
         if not switch(engaged, "engaged"):
             self._anchor, self._released, self.engaged = None, True, False
         raw, dt = floats(as_array(T_controller), "a pose (4, 4) is needed", InvalidTarget), positive(dt, "dt [s]")
@@ -117,7 +117,7 @@ class Teleop:
     def rebase(self, T_base_tip: Any) -> None:
         """Set the target to another pose, such as `robot.fk(step.q)` after a stop.
 
-        The clutch must be released and engaged again.
+        Before the controller moves the target again, the clutch must be released and engaged.
         """
         self.T_base_tip = _pose(T_base_tip)
         self._anchor, self._released, self.engaged = None, False, False

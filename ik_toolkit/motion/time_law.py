@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached, inline
 
-# Half width [samples] of a moving average over s, ds/dt and d2s/dt2, which avoids errors of the tip where d2s/dt2 jumps.
+# Half width [samples] of the moving average that smooths s, ds/dt and d2s/dt2; jumps of d2s/dt2 would make a tracked tip deviate.
 ROUNDED = 2
 TINY = 1e-12  # Where |dq/ds| is below TINY (1 + |d2q/ds2|), the joint does not limit the acceleration d2s/dt2.
 
@@ -27,7 +27,7 @@ def time_law(
     start: float = np.inf,
     end: float = np.inf,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the highest rates ds/dt along a path, at its grid points.
+    """Find how fast a path may be run: the highest rates ds/dt at its grid points that keep the joint limits.
 
     A joint's acceleration is within its limit at both ends of every interval. With a limit at one end alone, single samples of
     tracked runs had twice the allowed acceleration.
@@ -77,7 +77,7 @@ def evenly(count: int, most: int) -> np.ndarray:
 
 
 def resampled(s: np.ndarray, known: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """Interpolate a joint path Q (K, n), given at the path coordinates `known` (K,), linearly at other coordinates s (M,)."""
+    """Return joint values (M, n) at path coordinates s (M,), interpolated linearly from Q (K, n) at coordinates `known` (K,)."""
     return np.stack([np.interp(s, known, one) for one in Q.T], axis=1)
 
 
@@ -90,7 +90,7 @@ def coordinate_at(
     """
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     steps = np.diff(times)
-    # In an interval without duration d2s/dt2 is set to 0, to avoid a division by zero.
+    # An interval without duration has d2s/dt2 = 0, to avoid a division by zero.
     gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]
     past = t - times[k]
     return np.clip(s[k] + (rate[k] + 0.5 * gain * past) * past, s[0], s[-1]), rate[k] + gain * past, gain
@@ -100,15 +100,16 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     """Return the centred moving average of evenly spaced values (M,), over up to ROUNDED neighbours on each side of each."""
     total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
-    # The first and the last value are copied, because a difference of sums would change their last digit.
+    # The first and the last value are copied, because a difference of running sums would change their last digit.
     return np.where(side > 0, (total[k + side + 1] - total[k - side]) / (2 * side + 1), values)
 
 
 @inline
 def highest(low, high, slant, names, count, top, by):
-    """Return the largest z up to `top` for which some u keeps low - slant z <= u <= high - slant z in `count` rows, and its joint.
+    """Return the largest z up to `top` for which some u satisfies low - slant z <= u <= high - slant z in all `count` rows.
 
-    names (count,): joint that sets the bounds of each row, or -1; by: the joint that limits z to `top`, or -1.
+    Also returns the joint that limits z. Here z is (ds/dt)^2 and u is d2s/dt2 on a path. names (count,): joint that sets the bounds
+    of each row, or -1; by: the joint that limits z to `top`, or -1.
     """
     for j in range(count):
         for m in range(count):

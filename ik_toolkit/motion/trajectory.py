@@ -20,14 +20,14 @@ from ..text import TextTable, how_many
 from .reference import Reference, Samples, read_times
 from .time_law import coordinate_at
 
-# [s] step of the central difference by which dJ/dt (J: the Jacobian) is computed along the motion
+# [s] step of the central difference by which the rate of change dJ/dt of the Jacobian is computed along a motion
 DIFFERENCE = 1e-5
 
 
 class Piece(NamedTuple):
     """A piece of a trajectory: a curve q(s) of the joints, and its time law from rest to rest."""
 
-    # (M,) values of the path coordinate s; q(s) is a cubic polynomial between two of them; two are equal where a pose repeats
+    # (M,) knots, values of the path coordinate s between which q(s) is a cubic polynomial; two are equal where a pose repeats
     knots: np.ndarray
     coefficients: np.ndarray  # (4, M-1, n) coefficients of the cubic polynomials in s - knot, highest power first
     s: np.ndarray  # (G,) values of s at the grid points of the time law
@@ -41,7 +41,7 @@ class Piece(NamedTuple):
         return float(self.t[-1])
 
     def slower(self, factor: float) -> "Piece":
-        """Return the piece with the same curve q(s), run in `factor` times the time."""
+        """Return a piece with the same curve q(s) that takes `factor` times as long."""
         return self._replace(speed=self.speed / factor, t=self.t * factor)
 
     def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -221,9 +221,9 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         _check_table(names, values, t)
     except InvalidConfiguration:
         raise
-    except InvalidTarget as error:  # The message of `read_columns` names the file already.
+    except InvalidTarget as error:  # The message of `read_columns` already names the file.
         raise InvalidConfiguration(f"cannot read the motion: {error}") from None
-    except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
+    except Exception as error:  # Damaged files raise errors of many types (zip, zlib, npy, json, csv).
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {why_unread(error)}") from None
     if missing := [joint for joint in robot.joint_names if joint not in names]:
         raise InvalidConfiguration(

@@ -16,7 +16,7 @@ from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
 # [s] Least time between two points of a spline: scipy computes 1 / time^3, which overflows for shorter times.
 SHORTEST = 1e-100
-# [m/rad] length that counts as much as a rotation of 1 rad when a duration is divided among waypoints
+# [m/rad] length of travel that counts as much as a rotation of 1 rad when a duration is divided among waypoints
 RADIAN_AS_METRES = 0.25
 
 

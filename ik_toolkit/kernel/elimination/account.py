@@ -35,10 +35,13 @@ from .terms import SIZES, STATE, TRUST, VERDICT
 # ---------------------------------------------------------------------------------------------------------------------- roots
 @compiled
 class Roots(NamedTuple):
-    """The determinant of one target as a polynomial of degree 2 d, its roots and their error discs."""
+    """The determinant of the loop equations of one target: its values, its roots and their error discs.
 
-    values: Array  # (K,) values of the determinant at K angles
-    c: Array  # (2 d + 1,) complex coefficients of z^0 ... z^2d, the largest 1 in size
+    It is a polynomial of degree 2 d in z = exp(i q3), where q3 is the angle of joint 3.
+    """
+
+    values: Array  # (K,) values of the determinant at K angles q3, spaced evenly over a turn
+    c: Array  # (2 d + 1,) complex coefficients of z^0 ... z^2d, scaled so that the largest is 1 in size
     z: Array  # (2 d,) complex roots of the polynomial
     radius: Array  # (2 d,) radii of the error discs, one around each computed root
     state: Array  # (2 d,) what is known of each root, a number of `terms.RootState`
@@ -59,10 +62,10 @@ def over(z):
 
 @inner
 def fit_polynomial(values, degree, tables, c):
-    """Write the coefficients c (2 degree + 1,) of the polynomial with the given values at K angles, scaled to at most 1 in size.
+    """Write the coefficients c (2 degree + 1,) of the polynomial that has given values at K points of the unit circle.
 
-    values: (K,); tables: rows 0, 1 are cos, sin of the angles 2 pi k / K. Returns the noise of a coefficient relative to the
-    largest, or inf if all are 0.
+    They are scaled to at most 1 in size. values: (K,); tables: rows 0 and 1 are cos and sin of the angles 2 pi k / K of the points.
+    Returns the estimated error of a coefficient relative to the largest coefficient, or inf if all are 0.
     """
     count = 2 * degree + 5
     noise, largest = 0.0, 0.0
@@ -83,8 +86,8 @@ def fit_polynomial(values, degree, tables, c):
     share = 1.0 / largest
     for k in range(2 * degree + 1):
         c[k] = c[k] * share
-    # Harmonics above the degree should be 0, so twice the larger of the two that are computed, plus the rounding of the division,
-    # measures the noise.
+    # The two harmonics above the degree would be 0 without rounding, so they measure the noise: it is twice the larger of them,
+    # plus the rounding of the division.
     return 2.0 * noise * share + 2e-16
 
 
@@ -108,9 +111,10 @@ def slope(c, n, z):
 
 @inner
 def find_roots(r, n):
-    """Write the n roots of the polynomial r.c to r.z (r: `Roots`), by Ehrlich and Aberth's method.
+    """Find all n roots of a polynomial by Ehrlich and Aberth's method, and write them to r.z.
 
-    This is Newton's method for all roots at once, with a term in each step that repels the other roots.
+    The coefficients are r.c (r: `Roots`). The method is Newton's for all roots at once, with a term in each step that repels the
+    other roots.
     """
     for i in range(n):
         angle, length = 2.0 * math.pi * (i + 0.37) / n, 1.25 if i % 2 == 0 else 0.8
@@ -144,9 +148,10 @@ def find_roots(r, n):
 
 @inner
 def find_discs(r, n, noise):
-    """Write the radii of error discs around the n roots r.z to r.radius; a disc that overlaps no other holds exactly one true root.
+    """Write to r.radius the radii of error discs around the n computed roots r.z of a polynomial.
 
-    r: `Roots`; noise: error of a coefficient, from `fit_polynomial`.
+    A disc that overlaps no other holds exactly one true root. r: `Roots`; noise: relative error of a coefficient, from
+    `fit_polynomial`.
     """
     last = math.sqrt(size(r.c[n]))
     for i in range(n):
@@ -165,9 +170,10 @@ def find_discs(r, n, noise):
 # -------------------------------------------------------------------------------------------------------------------- account
 @inner
 def set_up(d):
-    """Write the equations of a target for the ordering d.form of the loop, and the values of their determinant.
+    """Write the equations of an arm's loop for one target, and the values of their determinant at evenly spaced angles.
 
-    Returns the pose of the reordered loop, and the rank of the equations (see `equations.reduce`). d: the arrays of `answer.Work`.
+    The ordering of the loop (the joint it begins at, and its direction) is d.form. Returns the pose that closes the loop in this
+    ordering, and the rank of the equations (see `equations.reduce`). d: working memory, an `answer.Work`.
     """
     pose = reorder(d.loop.axes, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
     write_left(d.e.lines, d.e.robot)
@@ -182,7 +188,7 @@ def set_up(d):
 def near(d, i, n):
     """Return the last of n roots whose error disc overlaps that of root i (or -1), and the number of such roots.
 
-    d: the arrays of `answer.Work`.
+    d: working memory, an `answer.Work`.
     """
     r, other, count = d.r, -1, 0
     for j in range(n):
@@ -193,23 +199,26 @@ def near(d, i, n):
 
 @inner
 def off_circle(z):
-    """Return the distance of a root z from the unit circle; for a root outside it, that of its partner 1 / conj(z)."""
+    """Return the distance of a root from the unit circle, 0 for a root exp(i q3) of a real angle q3.
+
+    Roots come in pairs z and 1 / conj(z); for a root outside the circle, the distance is that of its partner inside.
+    """
     length = math.sqrt(size(z))
     return 1.0 - (length if length <= 1.0 else 1.0 / length)
 
 
 @inner
 def is_complex(z, radius):
-    """Return whether the error disc of a root z, with a given radius, clearly misses the unit circle."""
+    """Return whether a root z certainly belongs to no real angle: its error disc clearly misses the unit circle."""
     gap = off_circle(z)
     return gap > (TRUST.clear if gap > TRUST.band else TRUST.clearer) * radius / max(1.0, size(z))
 
 
 @inner
 def to_joints(d):
-    """Write the angles d.null.t of the reordered loop to the joints d.loop.q; their signs change if the loop is reversed.
+    """Convert the joint angles d.null.t of a reordered loop to d.loop.q (6,), in the arm's own joint order.
 
-    d: the arrays of `answer.Work`.
+    Their signs change if the loop is reversed. d: working memory, an `answer.Work`.
     """
     backwards, shift = d.form[0] > 0.0, int(d.form[1])
     for place in range(6):
@@ -219,9 +228,10 @@ def to_joints(d):
 
 @inner
 def settle_root(d, root, radius):
-    """Refine the angles d.null.t of the reordered loop to a solution d.loop.q; return whether its q3 agrees with the root.
+    """Refine approximate joint angles d.null.t by Newton's method, and return whether they lead to the solution of a root.
 
-    root: angle of the root [rad]; radius: radius of its error disc; d: the arrays of `answer.Work`.
+    They do if the method converges and the angle q3 of the solution, d.loop.q, agrees with the root. root: angle of the root [rad];
+    radius: radius of its error disc; d: working memory, an `answer.Work`.
     """
     backwards, shift, q = d.form[0] > 0.0, int(d.form[1]), d.loop.q
     to_joints(d)
@@ -236,7 +246,7 @@ def settle_root(d, root, radius):
 
 @inner
 def tolerance(gain):
-    """Return how far two copies of one solution may differ in a joint [rad].
+    """Return how far a joint [rad] may differ between two entries of a list that count as the same solution.
 
     A rounding error of 1e-11 in the pose moves the joints by 1e-11 divided by the gain (about the least singular value of the
     Jacobian), which is a large move at singular poses.
@@ -246,10 +256,10 @@ def tolerance(gain):
 
 @inner
 def put_solution(found, q, gain, root):
-    """Add a solution q (6,) to a list `found`; return the row of an equal solution that is there already, or 0 if it is new.
+    """Add a solution q (6,) to a list; return the row of an equal solution that is there already, or 0 if it is new.
 
-    found: (SIZES.rows, SIZES.columns), see `answer.solve_loops`; gain: `closure.least_gain` at the solution; root: angle of the
-    root that it belongs to [rad].
+    found: the list (SIZES.rows, SIZES.columns), see `answer.solve_loops`; gain: distance from a singular pose
+    (`closure.least_gain`); root: angle [rad] of the root of the determinant that it belongs to.
     """
     count = int(found[0, 0])
     for k in range(1, count + 1):
@@ -268,10 +278,11 @@ def put_solution(found, q, gain, root):
 
 @inner
 def take_pair(d, pose, rank, i, j):
-    """Decide about two roots whose error discs overlap only each other: symmetric arms have two solutions with the same q3.
+    """Find the two solutions, if any, of two roots whose error discs overlap only each other.
 
-    Both roots are marked real and their solutions added if there are two, or marked complex if there are none. d: the arrays of
-    `answer.Work`; pose, rank: from `set_up`; i, j: indices of the roots.
+    Symmetric arms have two solutions with the same q3, so the determinant has two equal roots. Both roots are marked real and their
+    solutions added if there are two, or marked complex if there are none. d: working memory, an `answer.Work`; pose, rank: what
+    `set_up` returned; i, j: indices of the roots.
     """
     r, null, found = d.r, d.null, d.found
     middle = 0.5 * (r.z[i] + r.z[j])
@@ -300,13 +311,15 @@ def take_pair(d, pose, rank, i, j):
 
 @inner
 def take_root(d, pose, rank, i, lone):
-    """Find the solution of root i, on or near the unit circle; return the best verdict that it leaves possible for the answer.
+    """Find the solution that belongs to root i of the determinant, and add it to the list of solutions.
 
-    d: the arrays of `answer.Work`; pose, rank: from `set_up`; lone: whether the root's error disc overlaps no other.
+    Returns the best of `terms.Verdicts` that the root allows for the whole list. d: working memory, an `answer.Work`; pose, rank:
+    what `set_up` returned; lone: whether the root's error disc overlaps no other.
     """
     z, radius = d.r.z[i], d.r.radius[i]
     gap = off_circle(z)
-    # If its error disc overlaps no other, a root is its own partner 1 / conj(z), so the disc must reach the circle.
+    # If the disc overlaps no other, it holds one true root, which is its own partner 1 / conj(z) and so lies on the circle: the
+    # disc must reach the circle.
     if not (gap <= radius + 1e-13 if lone else gap < 1e-3):
         return VERDICT.unsure
     root = math.atan2(z.imag, z.real)
@@ -324,9 +337,9 @@ def take_root(d, pose, rank, i, lone):
 
 @inner
 def account_for(d):
-    """Solve for one target with one ordering of the loop: write the solutions to d.found, and return what `set_up` returned.
+    """Find the joint solutions of one target by elimination, with one ordering of the loop, and write them to d.found.
 
-    d: the arrays of `answer.Work`, with the target and the ordering.
+    d: working memory (`answer.Work`), with the target and the ordering. Returns what `set_up` returned.
     """
     found, r, n = d.found, d.r, 2 * int(d.form[3])
     for k in range(SIZES.columns):

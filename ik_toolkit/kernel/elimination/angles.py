@@ -19,20 +19,23 @@ from .terms import SIZES, TRUST
 
 @compiled
 class Null(NamedTuple):
-    """Scratch for null vectors of the 12 equations in equations.py, and for the angles that follow from them."""
+    """Scratch arrays to find the joint angles of a solution from a null vector of the 12 equations in equations.py."""
 
-    M: Array  # (12, 12) the matrix of the 12 equations at one q3
+    M: Array  # (12, 12) the matrix of the 12 equations at one angle q3 of joint 3
     V: Array  # (12, 12) right singular vectors of M, one a column
     swaps: Array  # (12,) for each k, the row that was exchanged with row k when M was factored
     x: Array  # (12,) a null vector
-    pair: Array  # (2, 12) two null vectors of M; `split_pair` replaces them by vectors of monomials
-    monomials: Array  # (14,) right side for the monomials of joints 1 and 2
-    t: Array  # (6,) joint angles [rad] in the order of the reordered loop, see `closure.reorder`
+    pair: Array  # (2, 12) two null vectors of M; `split_pair` replaces them by those of two solutions
+    monomials: Array  # (14,) right side of the equations for the products of cos and sin of joints 1 and 2
+    t: Array  # (6,) joint angles [rad] in the order of the loop being solved, see `closure.reorder`
 
 
 @inner
 def write_matrix(W, q, M):
-    """Write the matrix M (12, 12) of the 12 equations at q3 = q [rad]; W: (3, 6, 9) coefficients, see `LoopEquations`."""
+    """Write to M (12, 12) the matrix of the 12 loop equations (see equations.py) at the angle q [rad] of joint 3.
+
+    W: (3, 6, 9) coefficients, see `LoopEquations`.
+    """
     c, s = math.cos(q), math.sin(q)
     for i in range(SIZES.monomials):
         clear(M[i])
@@ -45,9 +48,9 @@ def write_matrix(W, q, M):
 
 @inner
 def find_null(W, q, null):
-    """Write the null vector null.x of the 12 equations at a root q3 = q [rad], by two steps of inverse iteration.
+    """Write to null.x the null vector of the 12 loop equations (see equations.py) at a root q [rad] of their determinant.
 
-    W: (3, 6, 9) coefficients, see `LoopEquations`; null: scratch (Null).
+    It is found by two steps of inverse iteration. W: (3, 6, 9) coefficients, see `LoopEquations`; null: scratch (Null).
     """
     write_matrix(W, q, null.M)
     lu_factor(null.M, null.swaps, SIZES.monomials, TRUST.faint)
@@ -63,10 +66,11 @@ def find_null(W, q, null):
 
 @inner
 def find_two_nulls(W, q, null):
-    """Write the two singular vectors with the smallest singular values of the 12 equations at q3 = q to the rows of null.pair.
+    """Write to the rows of null.pair the two singular vectors with the smallest singular values of the 12 loop equations.
 
-    Returns the second and third smallest singular values as shares of the largest. All twelve are computed, by Hestenes' method. W:
-    (3, 6, 9) coefficients, see `LoopEquations`; null: scratch (Null).
+    The equations (see equations.py) are taken at the angle q [rad] of joint 3. All twelve singular values are computed, by
+    Hestenes' method. Returns the second and the third smallest, divided by the largest. W: (3, 6, 9) coefficients, see
+    `LoopEquations`; null: scratch (Null).
     """
     write_matrix(W, q, null.M)
     make_orthogonal(null.M, null.V, SIZES.monomials)
@@ -89,13 +93,14 @@ def find_two_nulls(W, q, null):
 
 @inner
 def split_pair(null):
-    """Turn the null vectors null.pair (2, 12) into two of the same span, each of which consists of the monomials of a solution.
+    """Combine the two null vectors null.pair (2, 12) into two that each belong to one solution.
 
-    Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. In a vector y of monomials, the entries hi(y) with one
-    factor x more are x times the entries lo(y): for x4 they are three places apart, for x5 one. So the two are the eigenvectors of
-    the 2 x 2 matrix that takes lo to hi by least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added,
-    with an arbitrary factor between them. The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is
-    not a special case.
+    The entries of such a vector are the monomials x4^i x5^j of the solution, where x = tan(q / 2). Returns 2 if both solutions are
+    real, 0 if both are complex, 1 if that is unclear. In a vector y of monomials, the entries hi(y) with one factor x more are x
+    times the entries lo(y): for x4 they are three places apart, for x5 one. So the two vectors are the eigenvectors of the 2 x 2
+    matrix that takes lo to hi by least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added, with an
+    arbitrary factor between them. The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is not a
+    special case.
     """
     P, cs, sn = null.pair, math.cos(0.7), math.sin(0.7)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
@@ -138,7 +143,7 @@ def split_pair(null):
 def eigenvector(a, b, c, d, value):
     """Return an eigenvector of [[a, b], [c, d]] for the eigenvalue `value`.
 
-    There are two formulas; the longer result is taken, as the other may vanish.
+    Of two formulas, the one whose result is longer is used, because the other may give 0.
     """
     first = b * b + (value - a) * (value - a) >= (value - d) * (value - d) + c * c
     return (b, value - a) if first else (value - d, c)
@@ -146,11 +151,11 @@ def eigenvector(a, b, c, d, value):
 
 @inner
 def find_angles(e, rank, pose, q, x, null):
-    """Write the angles null.t (6,) of the reordered loop at q3 = q [rad] for the null vector x (12,).
+    """Write to null.t (6,) the joint angles of the solution with q3 = q [rad], from the null vector x (12,) of its equations.
 
-    Joints 4 and 5 follow from ratios of monomials, also at pi, where the tangent is infinite. Joints 1 and 2 follow from monomials
-    y that solve R y = Q' (robot - target[0]), with the QR factors in e (LoopEquations); joint 6 closes the loop. pose, rank: from
-    `account.set_up`.
+    Joints 4 and 5 follow from ratios of the entries of x, also at pi, where the tangent of half the angle is infinite. Joints 1 and
+    2 follow from products y of their cosines and sines, which solve R y = Q' (robot - target[0]) with the QR factors in e
+    (LoopEquations). Joint 6 closes the loop. null: scratch (Null); pose, rank: from `account.set_up`.
     """
     at = 0
     for k in range(SIZES.monomials):
@@ -178,7 +183,7 @@ def find_angles(e, rank, pose, q, x, null):
         row[n] -= e.target[0, n]
     for k in range(rank):
         reflect_row(e.V, e.scales, k, row, SIZES.numbers)
-    y = null.x  # `x` may be this same array, but is not needed any more.
+    y = null.x  # `x` may be this same array, which may be overwritten because `x` is not needed any more.
     for k in range(8):
         y[k] = 0.0
     for k in range(rank - 1, -1, -1):
@@ -193,7 +198,7 @@ def find_angles(e, rank, pose, q, x, null):
 
 @inline
 def factor_of(k, q):
-    """Return 1, cos q or sin q for k = 0, 1 or 2: a factor of a product of such functions of the joint angles."""
+    """Return 1, cos q or sin q for k = 0, 1 or 2."""
     return 1.0 if k == 0 else math.cos(q) if k == 1 else math.sin(q)
 
 
@@ -201,11 +206,11 @@ def factor_of(k, q):
 def last_angle(lines, pose, t):
     """Return the angle of joint 6 that closes the loop when joints 1 to 5 are at t[0] ... t[4] [rad].
 
-    lines: (6, 6) axes of the reordered loop; pose: its pose.
+    lines: (6, 6) joint axes in the order of the loop; pose: the pose that E1(q1) ... E6(q6) must equal.
     """
     last = line_of(lines, 5)
     away = any_normal(last.along)
-    # Only the direction of this line is used below, so its point may be any.
+    # Only the direction of this line is used below, so any point serves as its point.
     goal = Line(pose.axes.times(away), pose.axes.times(last.along))
     for k in range(5):
         goal = turned(goal, line_of(lines, k), math.cos(t[k]), -math.sin(t[k]))

@@ -21,9 +21,10 @@ from .terms import DOUBT, SIZES, STATE, TRUST, VERDICT
 
 @inner
 def merge_into(one, whole):
-    """Add the solutions of one ordering of the joints in the loop, in `one`, to those in `whole`, both (SIZES.rows, SIZES.columns).
+    """Add the solutions in the list `one` to the list `whole`, except those that are there already.
 
-    Returns whether `whole` then contains no solution that `one` lacks.
+    Both lists (SIZES.rows, SIZES.columns) are for the same target, see `solve_loops`. Returns whether `whole` then contains no
+    solution that `one` lacks.
     """
     for k in range(1, int(one[0, 0]) + 1):
         if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
@@ -33,7 +34,7 @@ def merge_into(one, whole):
 
 @compiled
 class Work(NamedTuple):
-    """All arrays that are used to solve for one target with one ordering of the loop."""
+    """Working memory of `solve_loops`: all arrays that are used to solve for one target with one ordering of the loop."""
 
     target: Array  # (12,) rigid motion from the tip's pose at q = 0 to the target
     loop: JointLoop
@@ -42,16 +43,16 @@ class Work(NamedTuple):
     null: Null
     A: Array  # (6, 9) scratch for `equations.determinant`
     N: Array  # (9, 9) scratch for `equations.determinant`
-    row: Array  # (SIZES.whole,) the ordering of the loop that is being solved, whose parts are the next three arrays
-    form: Array  # (SIZES.form,) the numbers of a `terms.Form`
+    row: Array  # (SIZES.whole,) the ordering of the loop that is being solved; the next three arrays are parts of it
+    form: Array  # (SIZES.form,) the fields of a `terms.Form`: direction and first joint of the loop, rank and degree
     tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
-    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6, see `equations.reduce`
-    found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
+    mix: Array  # (6, 14) factors by which more than 6 equations are combined into 6, see `equations.reduce`
+    found: Array  # (SIZES.rows, SIZES.columns) the solutions found with this ordering, see `solve_loops`
 
 
 @build
 def make_work(block, axes):
-    """Return the arrays of `Work`, cut from the memory `block`; axes: (6, 6) joint axes at q = 0."""
+    """Return the working memory `Work`, cut from the array `block`; axes: (6, 6) joint axes at q = 0."""
     block[0] = 0.0
     target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
@@ -72,7 +73,7 @@ def make_work(block, axes):
 
 @inline
 def sharpened(R):
-    """Return an almost orthonormal matrix R (M3) made more exact: R (3 - R'R) / 2, by which its error is squared.
+    """Return a nearly orthonormal matrix R (M3) made more exactly orthonormal: R (3 - R'R) / 2, which squares its error.
 
     This is a step of Newton's method for the polar factor.
     """
@@ -86,7 +87,8 @@ def sharpened(R):
 def motion_to(T, arm, X):
     """Write to X (12,) the motion that takes the tip from its pose at q = 0 to the target T (4, 4) [m].
 
-    X is a rotation matrix by rows, then a translation; arm: (52,) geometry, as for `solve_loops`.
+    X is a rotation matrix by rows, then a translation, with lengths divided by the arm's size. arm: (52,) geometry, as for
+    `solve_loops`.
     """
     target = pose_from(T)
     # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
@@ -98,9 +100,10 @@ def motion_to(T, arm, X):
 
 @inner
 def use_form(d):
-    """Solve for the target in d (Work) with the ordering in d.form: by elimination, or by decomposition if its degree is 0.
+    """Solve for the target in d (Work) with the ordering of the loop in d.form, and write the solutions to d.found.
 
-    Returns the pose and the rank that `set_up` found; after a decomposition, the pose of the loop and a rank of 0.
+    The method is elimination, or decomposition into subproblems if the ordering's degree is 0. Returns the pose of the reordered
+    loop and the rank of its equations; after a decomposition, the pose of the loop and a rank of 0.
     """
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
@@ -110,9 +113,9 @@ def use_form(d):
 
 @inner
 def nudge(d, angle):
-    """Write to d.loop.X the target of d (Work) turned by a small angle [rad] and moved by a similar share of the arm's size.
+    """Write to d.loop.X a pose slightly displaced from the target of d (Work), to solve for in its place.
 
-    An angle of 0 restores the target itself.
+    It is turned by a small angle [rad] and moved by a similar share of the arm's size. An angle of 0 restores the target itself.
     """
     pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # The axis of the displacement is an arbitrary unit vector.
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
@@ -123,10 +126,11 @@ def nudge(d, angle):
 
 @inner
 def look_around(d, forms, whole):
-    """Add to an uncertain answer the solutions of slightly displaced poses, brought back to the target by Newton's method.
+    """Look for more solutions of a target whose list may be incomplete, by solving for slightly displaced poses.
 
-    Where roots coincide, the roots of a slightly different pose do not. The solutions found in this way certify nothing. d: `Work`;
-    forms: orderings of the loop; whole: (SIZES.rows, SIZES.columns) the answer.
+    Their solutions are brought back to the target by Newton's method and added to `whole`. Where roots coincide for the target,
+    those of a displaced pose do not. Solutions found in this way certify nothing. d: `Work`; forms: orderings of the loop; whole:
+    (SIZES.rows, SIZES.columns) the list, see `solve_loops`.
     """
     for k in range(8):  # Four displaced poses are tried, each with the two best orderings.
         f = k // 4
@@ -146,11 +150,11 @@ def look_around(d, forms, whole):
 
 @inner
 def all_counted(whole, real):
-    """Return whether an answer has as many solutions as there are roots not proven complex, so that there can be no others.
+    """Return whether a list has as many solutions as there are roots that may be real, so that there can be no others.
 
     Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
-    singular, the result is False, because two entries might be one solution. whole: (SIZES.rows, SIZES.columns) the answer; real:
-    number of roots not proven complex.
+    singular, the result is False, because two entries might be one solution. whole: (SIZES.rows, SIZES.columns) the list, see
+    `solve_loops`; real: number of roots not proven complex.
     """
     for k in range(1, int(whole[0, 0]) + 1):
         if whole[k, 6] < TRUST.singular:
@@ -160,11 +164,12 @@ def all_counted(whole, real):
 
 @inner
 def list_near(d, pose, rank, within, whole):
-    """Append approximate solutions to a certified answer: one for each complex root near the unit circle or each merged branch.
+    """Append approximate solutions to a certified list: joint values whose pose may be within a tolerance of the target.
 
-    Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the angles
-    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1. d: `Work`; pose,
-    rank: from `use_form`; within: largest distance of such a root from the circle; whole: (SIZES.rows, SIZES.columns) the answer.
+    There is one for each complex root near the unit circle, or each merged branch of a decomposition: where two solutions have just
+    become complex, the pose nearest the target is near the angles that belong to the root moved onto the circle. If two such roots
+    coincide, the list ends and whole[0, 7] is -1. d: `Work`; pose, rank: from `use_form`; within: largest distance of such a root
+    from the circle; whole: (SIZES.rows, SIZES.columns) the list, see `solve_loops`.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
     if n == 0:
@@ -182,7 +187,7 @@ def list_near(d, pose, rank, within, whole):
             whole[0, 7] = -1.0
             return
         if size(z) > 1.0:
-            continue  # Its partner 1 / conj(z), inside the circle, is listed instead.
+            continue  # The partner of this root inside the circle, 1 / conj(z), is listed instead.
         root = math.atan2(z.imag, z.real)
         find_null(d.e.W, root, d.null)
         find_angles(d.e, rank, pose, root, d.null.x, d.null)
@@ -195,11 +200,12 @@ def list_near(d, pose, rank, within, whole):
 
 @cached
 def solve_loops(forms, arm, T, found, values, within):
-    """List every solution of N targets, E1(q1) ... E6(q6) = X.
+    """List every joint solution of N target poses for an arm of six revolute joints.
 
-    The orderings of the loop are tried in turn until one certifies its list, or until roots merge (DOUBLE). Solutions found with
-    earlier orderings stay listed; if the certified list lacks one of them, its certificate is rejected. An answer is also
-    certified if it has as many solutions as one ordering's determinant has roots that are not proven complex.
+    The loop equation E1(q1) ... E6(q6) = X may be written in several orderings: reversed or not, begun at any joint. They are tried
+    in turn until one certifies its list, or until roots merge (DOUBLE). Solutions found with earlier orderings stay listed; if the
+    certified list lacks one of them, its certificate is rejected. An answer is also certified if it has as many solutions as one
+    ordering's determinant has roots that are not proven complex.
 
     Args:
         forms: (F, SIZES.whole) orderings of the loop, best first: a `Form` or a `decomposition.Split`, with its tables.

@@ -16,12 +16,12 @@ from .terms import DOUBT, SIZES, VERDICT, Form
 
 
 class OrderingChoice(NamedTuple):
-    """Constants of the choice of orderings, set after tries on 60 arms and 33 kinds of structures."""
+    """Constants for choosing the orderings of an arm's loop equation, set after tries on 60 arms with 33 kinds of structure."""
 
-    poses: int = 12  # number of random poses on which orderings are compared
+    poses: int = 12  # number of random poses that are solved to compare the orderings
     kept: int = 4  # highest number of orderings that are kept
     share: float = 0.6  # an ordering is kept if it finds the most solutions at this share of the poses
-    # Fourier coefficients of the determinant below this share of the largest are rounding; true ones of 1e-10 occur.
+    # Fourier coefficients of the determinant below this share of the largest are taken for rounding; true ones of 1e-10 occur.
     tone: float = 1e-12
     seed: int = 0
 
@@ -30,17 +30,20 @@ CHOICE = OrderingChoice()
 
 
 class OrderingResult(NamedTuple):
-    """One ordering of the loop (reversed or not, begun at one of six joints), and how well it did on random poses."""
+    """An ordering of an arm's loop equation, and how well it has solved for random poses.
+
+    The loop is reversed or not, and begun at one of six joints.
+    """
 
     row: np.ndarray  # (SIZES.whole,) the ordering, as `answer.solve_loops` takes it
     real: np.ndarray  # (N,) number of real solutions at each pose
     certain: int  # number of poses at which the list of solutions is certified
-    pairs: bool  # whether two solutions of a pose had the same q3, the angle that the determinant is a polynomial in
-    radius: float  # median, over the poses, of the radius of the largest error disc
+    pairs: bool  # whether two solutions of a pose had the same q3, the angle of joint 3, which should tell them apart
+    radius: float  # median over the poses of the radius of the largest error disc around a root
 
 
 def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the geometry of an arm as one array (52,), see `answer.solve_loops`.
+    """Return the geometry of an arm of six revolute joints as one array (52,), see `answer.solve_loops`.
 
     axes, points: (6, 3) directions and points [m] of the joints at q = 0; T (4, 4): the tip's pose there. The arm's centre is the
     point nearest to all axes, its size the largest distance of an axis from there.
@@ -53,7 +56,10 @@ def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the tip's pose (4, 4) [m] of an arm (52,) at q (6,), the product of E1(q1) ... E6(q6) and the pose at q = 0."""
+    """Return the tip's pose (4, 4) [m] of an arm at q (6,) [rad], by the product of exponentials.
+
+    arm: (52,) geometry, see `answer.solve_loops`.
+    """
     R, p = np.eye(3), np.zeros(3)
     for (x, y, z, *point), angle in zip(arm[:36].reshape(6, 6), q, strict=True):
         K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -66,9 +72,9 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the solutions of targets T (N, 4, 4) [m] as an array (N, SIZES.rows, SIZES.columns).
+    """Return the joint solutions of target poses T (N, 4, 4) [m] as an array (N, SIZES.rows, SIZES.columns).
 
-    The array, forms, arm and within are described at `answer.solve_loops`.
+    The layout of the array, and the arguments forms, arm and within, are described at `answer.solve_loops`.
     """
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
     solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)
@@ -76,7 +82,10 @@ def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0
 
 
 def make_forms(arm: np.ndarray) -> np.ndarray:
-    """Return the orderings of the loop (F, SIZES.whole) that suit an arm (52,), best first; none if no ordering works."""
+    """Return the orderings of the loop equation (F, SIZES.whole) that suit an arm, best first; none if no ordering works.
+
+    They are compared by solving for the same random poses with each. arm: (52,) geometry, see `answer.solve_loops`.
+    """
     rng = np.random.default_rng(CHOICE.seed)
     Q = rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))
     T = np.array([arm_tip(arm, q) for q in Q])
@@ -89,9 +98,9 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: OrderingResult) -> tuple:
-        """Return the key by which orderings of the loop are sorted, the best first.
+        """Return the key by which tried orderings are sorted, so that the best comes first.
 
-        The best finds all solutions, tells them apart by q3 and has certificates and small error discs.
+        The best finds all solutions, tells them apart by the angle of joint 3, certifies its lists and has small error discs.
         """
         accuracy = round(np.log10(min(one.radius, 1e9) + 1e-16)) + one.row[Form._fields.index("degree")] / 8.0
         return -(one.real == most).sum(), one.pairs, -one.certain, accuracy

@@ -29,14 +29,17 @@ class Line(NamedTuple):
 
 @compiled
 class JointLoop(NamedTuple):
-    """The loop in the arm's own joint order, and the arrays of Newton's method."""
+    """The loop equation E1(q1) ... E6(q6) = X of an arm at one target, and the arrays of Newton's method that solves it.
+
+    Ei is the rotation about the axis of joint i. Lengths are divided by the arm's size.
+    """
 
     axes: Array  # (6, 6) the joints' axes at q = 0, one a row
     X: Array  # (12,) the pose X = E1(q1) ... E6(q6) to reach: rotation matrix by rows, then translation
-    J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
+    J: Array  # (6, 6) twist of each joint at q, one a column: linear, then angular
     B: Array  # (6, 6) the inverse of J, with its columns permuted
     swaps: Array  # (12,) for each k, the row that was exchanged with row k when J was factored
-    error: Array  # (6,) how far the loop is from closed, as a twist: linear, then angular
+    error: Array  # (6,) the motion that is left to the pose X, as a twist: linear, then angular
     q: Array  # (6,) joint values
 
 
@@ -67,20 +70,20 @@ def turned(line, about, c, s):
 
 @inline
 def line_moved(pose, line):
-    """Return a line that a pose, taken as a motion, has moved."""
+    """Return a line moved by a rigid motion, which is given as a Pose."""
     return Line(pose.axes.times(line.along), pose.axes.times(line.point) + pose.point)
 
 
 @inline
 def inverse(pose):
-    """Return the inverse of a pose, taken as a motion."""
+    """Return the inverse of a rigid motion, which is given as a Pose."""
     back = transposed(pose.axes)
     return Pose(back, -back.times(pose.point))
 
 
 @shared
 def joint_at(place, backwards, shift):
-    """Return which joint (0 to 5) is at position `place` of the reordered loop.
+    """Return which joint of the arm (0 to 5) is at position `place` of a reordered loop.
 
     backwards: whether the loop is reversed; shift: how many joints later it begins.
     """
@@ -98,15 +101,16 @@ def wrapped(angle):
 
 @inner
 def reorder(axes, X, backwards, shift, lines):
-    """Write the axes `lines` (6, 6) of the same loop begun at another joint or reversed, and return its pose.
+    """Rewrite the loop equation of an arm so that it begins at another joint or is reversed.
 
     Reversed, E1(q1) ... E6(q6) = X is E6(-q6) ... E1(-q1) = X^-1. Begun m joints later it is
 
         E(m+1) ... E6 E1' ... Em' = X,  Ei' = X^-1 Ei X,
 
     that is, the axes of the joints that pass to the end are moved by X^-1. For m = 4 and 5 all axes are also moved by X, so that
-    the axes at positions 3 to 5, the robot's side of the equations, do not depend on the target. axes: (6, 6) in the arm's order;
-    X: (12,) pose; backwards: whether the loop is reversed; shift: m.
+    the axes at positions 3 to 5, the robot's side of the equations, do not depend on the target. Returns the pose on the right
+    side. axes: (6, 6) joint axes in the arm's order; X: (12,) pose; backwards: whether the loop is reversed; shift: m; lines (6, 6)
+    receives the reordered axes.
     """
     pose = pose_of(X)
     if backwards:
@@ -126,10 +130,10 @@ def reorder(axes, X, backwards, shift, lines):
 
 @inner
 def measure_loop(loop, q):
-    """Write twists and error of the loop at q (6,) to loop.J and loop.error, and return the largest component of the error.
+    """Return by how much an arm at q (6,) misses its pose X: the largest component of the error [arm sizes, rad].
 
-    With G = E1 ... E6, the error is the motion X G^-1 to first order, a vector and the sine of the angle times the axis. loop:
-    `JointLoop`.
+    The joints' twists are written to loop.J, and the error to loop.error: with G = E1(q1) ... E6(q6), it is the motion X G^-1 to
+    first order, a vector and the sine of the angle times the axis. loop: `JointLoop`.
     """
     x, y, z, p = V3(1.0, 0.0, 0.0), V3(0.0, 1.0, 0.0), V3(0.0, 0.0, 1.0), V3(0.0, 0.0, 0.0)
     for k in range(6):
@@ -156,10 +160,10 @@ def measure_loop(loop, q):
 
 @inner
 def close(loop):
-    """Improve loop.q (6,) by Newton's method, and return the largest component of the error that is left.
+    """Move the joint values loop.q (6,) to a solution of the loop equation by Newton's method.
 
-    No step moves a joint by more than TRUST.longest [rad]. The first step that moves all joints by less than TRUST.still [rad] is
-    the last, and there are at most TRUST.steps. loop: `JointLoop`.
+    Returns the largest component of the error that is left. No step moves a joint by more than TRUST.longest [rad]. The first step
+    that moves all joints by less than TRUST.still [rad] is the last, and there are at most TRUST.steps. loop: `JointLoop`.
     """
     q, move = loop.q, math.inf
     for k in range(TRUST.steps + 1):
@@ -177,9 +181,9 @@ def close(loop):
 
 @inner
 def least_gain(loop):
-    """Return 1 / |J^-1| (Frobenius norm), which is 0.4 to 1 times the least singular value of the Jacobian J = loop.J.
+    """Return how far an arm is from a singular pose: 1 / |J^-1| (Frobenius norm).
 
-    It says how far the arm is from a singular pose. loop: `JointLoop`, whose J is overwritten.
+    This is 0.4 to 1 times the least singular value of the Jacobian J = loop.J. loop: `JointLoop`, whose J is overwritten.
     """
     J, B, total = loop.J, loop.B, 0.0
     lu_factor(J, loop.swaps, 6, TRUST.faint)

@@ -39,17 +39,18 @@ from .terms import DOUBT, SIZES, TRUST, VERDICT
 
 
 class Split(NamedTuple):
-    """A way to decompose an arm: the start of a row of `forms` of `answer.solve_loops`, with the same layout as a `terms.Form`.
+    """A way to decompose an arm into subproblems: its joint order, and which of its axes meet or are parallel.
 
-    The last 84 numbers of the row (the `mix` of a Form) hold the joints' axes, moved so that they meet or are parallel exactly.
+    It is the start of a row of `forms` of `answer.solve_loops`, with the same layout as a `terms.Form`. The last 84 numbers of the
+    row hold the joints' axes, moved so that they meet or are parallel exactly.
     """
 
     backwards: float  # 1 if the loop is reversed
-    shift: float  # the reordered loop begins this many joints later
-    parallel: float  # 1 if three axes are parallel, 0 if there is a wrist
-    degree: float  # always 0: there is no determinant
-    off: float  # how far the actual axes are from the moved ones (at least the rounding error)
-    # The equation that is solved first has one unknown; 1 if it equates distances (two axes meet), 0 if heights along an axis.
+    shift: float  # how many joints after the first one the reordered loop begins
+    parallel: float  # 1 if axes 2 to 4 are parallel, 0 if the last three axes meet in a wrist
+    degree: float  # always 0, which tells a Split from a Form: there is no determinant
+    off: float  # how far the actual axes are from the moved ones [rad and arm sizes, summed], at least the rounding error
+    # 1 if the equation that is solved first equates distances (two axes meet), 0 if heights along an axis (two are parallel)
     square: float
     third: float  # 1 if the unknown of the equation that is solved first is joint 3, 0 if it is joint 1
 
@@ -63,22 +64,24 @@ def turn_back(v, line, t):
 
 @inline
 def lever(line, point):
-    """Return the distance of a point from a line that it turns about."""
+    """Return the distance of a point (V3) from a line."""
     return circle_about(line, point, 1.0).width()
 
 
 @inner
 def put_branch(d, free, half, merged, doubt, error, near):
-    """Refine the branch d.null.t (6,), angles of the reordered loop, and add it to d.found; a doubtful one makes the answer UNSURE.
+    """Add one branch, a joint solution of a decomposed arm, to the list d.found, after refining it on the actual arm.
+
+    A doubtful branch gives the whole list the status UNSURE.
 
     Args:
-        d: The arrays of `answer.Work`.
+        d: Working memory (`answer.Work`); the branch is in d.null.t (6,), angles of the reordered loop.
         free: Index in the loop of an angle that may have any value, or -1.
         half: By how much that angle may turn either way [rad].
         merged: Whether the branch may be the same as another, or may not exist.
         doubt: Whether it is doubtful.
         error: Bound of the errors of its angles [rad].
-        near: Whether only a branch that has merged with another is added, and not refined.
+        near: Whether to add only branches that may be the same as another, and not to refine them.
     """
     q, found = d.loop.q, d.found
     to_joints(d)
@@ -90,7 +93,8 @@ def put_branch(d, free, half, merged, doubt, error, near):
                 found[count + 1, i] = wrapped(q[i])
             found[0, 7] = -1.0 if free >= 0 else found[0, 7]
         return
-    # An angle is refined if it is not certain to be free, as the answer must list no poses that miss the target.
+    # A free angle needs no refining, but one that is only doubtfully free is refined: the list must not have poses that miss the
+    # target.
     free = -1 if doubt else free
     size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
     if free < 0 and (size > TRUST.closed or (inexact and not merged)):
@@ -116,20 +120,20 @@ def put_branch(d, free, half, merged, doubt, error, near):
 
 @inner
 def split_wrist(d, pose, off, near):
-    """List the branches of an arm whose last three axes meet.
+    """Find all joint solutions of an arm whose last three axes meet (a wrist), and add them to d.found.
 
-    d: the arrays of `answer.Work`, which get the branches; pose: pose that
-    closes the loop of joints, renumbered so that these three come last; off, near: as for `decompose`.
+    d: working memory (`answer.Work`); pose: pose of the loop, reordered so that these three axes come last; off, near: as for
+    `decompose`.
     """
     lines, t = d.e.lines, d.null.t
     one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal = pose.axes.times(six.point) + pose.point
     square, third = d.form[5] > 0.0, d.form[6] > 0.0
-    lead = 2 if third else 0  # the position in the loop of the angle that is found first
+    lead = 2 if third else 0  # index in t of the joint angle that is found first
     error = off * (1.0 + math.sqrt(goal.square()))
-    # Let c be the wrist centre. E2 takes the point E3 c to E1^-1 X c, so both have the same height along axis 2, and the same
-    # distance from any point of axis 2.
+    # Let c be the wrist centre, Ei the motion of joint i, and X the pose to reach. E2 takes the point E3 c to E1^-1 X c, so both
+    # have the same height along axis 2, and the same distance from any point of axis 2.
     ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
     ring, other = (other, ring) if third else (ring, other)
     height, square1, height2, square2 = (
@@ -157,14 +161,15 @@ def split_wrist(d, pose, off, near):
             for k in range(3):
                 line = line_of(lines, k)
                 u, n = turn_back(u, line, t[k]), turn_back(n, line, t[k])
-            # Joints 4 and 5 follow from R4^-1 u = R5 l6, where l6 is the direction of axis 6.
+            # Joints 4 and 5 follow from R4^-1 u = R5 l6, where Ri is the rotation of joint i, l6 the direction of axis 6, and u
+            # this direction turned by the pose and back by joints 1 to 3.
             cone = circle_about(Line(four.along, u * 0.0), u, -1.0)
             D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
             merged = A.merged or B.merged or C.merged or D.merged
             free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
             if D.number == 0 and (A.free or B.free or C.free):
-                # There may be solutions at other values of the free angle.
+                # The free angle was tried at a single value only, so there may be solutions at others.
                 d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
@@ -176,16 +181,17 @@ def split_wrist(d, pose, off, near):
 
 @inner
 def split_parallel(d, pose, off, near):
-    """List the branches of an arm whose axes 2 to 4 are parallel and whose axes 5 and 6 meet.
+    """Find all joint solutions of an arm whose axes 2 to 4 are parallel and whose axes 5 and 6 meet; add them to d.found.
 
-    d: the arrays of `answer.Work`, which get the branches; pose: pose of the reordered loop; off, near: as for `decompose`.
+    d: working memory (`answer.Work`); pose: pose of the loop, reordered so that the axes are these; off, near: as for `decompose`.
     """
     lines, t = d.e.lines, d.null.t
     one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal, w = pose.axes.times(six.point) + pose.point, two.along
     error = off * (1.0 + math.sqrt(goal.square()))
-    # E2 E3 E4 keeps heights along w, so the height of E1^-1 X o equals that of o, the point where axes 5 and 6 meet.
+    # Let Ei be the motion of joint i, X the pose to reach, w the direction of the parallel axes, and o the point where axes 5 and 6
+    # meet. E2 E3 E4 keeps heights along w, so o and E1^-1 X o have the same height.
     A = solve_sum(height_on(circle_about(one, goal, -1.0), w), w.dot(six.point), error)
     normal, elbow = any_normal(w), circle_about(three, four.point, 1.0)
     for i in range(12 if A.free else A.number):
@@ -193,13 +199,15 @@ def split_parallel(d, pose, off, near):
             break
         t[0] = A.second if i == 1 else A.first + (math.pi / 6.0) * i
         c1, s1 = math.cos(t[0]), math.sin(t[0])
-        # Joints 5 and 6 follow from R5 R6 v = w with v = X^-1 R1 w.
+        # Joints 5 and 6 follow from R5 R6 v = w with v = X^-1 R1 w, where Ri is the rotation of joint i and w the direction of the
+        # parallel axes.
         v = pose.axes.across(rotated(w, one.along, c1, s1))
         cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
         unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
-        # Axis 6 is parallel to w, so joint 6 may turn within the range in which the elbow reaches. The middle of it is listed.
+        # Axis 6 is parallel to axes 2 to 4 here, so joint 6 is free within the range in which the elbow reaches. The middle of it
+        # is listed.
         if loose:
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
@@ -211,7 +219,8 @@ def split_parallel(d, pose, off, near):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
             t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
-            # Apply E2 E3 E4 = E1^-1 X E6^-1 E5^-1 to the point of axis 4, which E4 does not move, and to a vector normal to w.
+            # The equation E2 E3 E4 = E1^-1 X E6^-1 E5^-1 (Ei: motion of joint i) is applied to the point of axis 4, which E4 does
+            # not move, and to a vector normal to the parallel axes.
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
@@ -230,16 +239,16 @@ def split_parallel(d, pose, off, near):
                 free = 0 if A.free else 5 if loose else 1 if C.free else -1
                 put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
     if A.free and d.found[0, 0] == 0.0:
-        # There may be solutions at values of joint 1 between those that were tried.
+        # Any value of joint 1 may have solutions, and only twelve values were tried.
         d.found[0, 1], d.found[0, 7] = VERDICT.unsure, -1.0
 
 
 @inner
 def decompose(d, off, near):
-    """Solve for the target in d (Work) with the decomposition in d.form and d.mix: write d.found, as an elimination does.
+    """Find all joint solutions of the target in d (`answer.Work`) by decomposing the arm, and write them to d.found.
 
-    off: the error that every number is assumed to have. near: whether to list only the branches that merge within this error, and
-    not to refine them.
+    The decomposition is in d.form and d.mix, see `Split`. off: the error that every number is assumed to have. near: whether to
+    list only solutions that may merge with another within this error, without refining them.
     """
     found = d.found
     for k in range(SIZES.columns):
@@ -257,7 +266,7 @@ def decompose(d, off, near):
 
 # --------------------------------------------------------------------------------------------------------------- recognition
 def splits_of(arm: np.ndarray) -> list[np.ndarray]:
-    """Return the decompositions that an arm may have, a list of `Split` rows, those with the smallest misfit first.
+    """Return the decompositions that an arm may have, as a list of `Split` rows; those that fit it best come first.
 
     arm: (52,) geometry, see `answer.solve_loops`.
     """
@@ -279,7 +288,7 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
             for meet, places in conditions:
                 which = [joints[place] for place in places]
                 if any(abs(i - j) != 1 for i, j in itertools.pairwise(which)):
-                    break  # The target is between two of these joints, as they are not consecutive.
+                    break  # In the arm's order these joints are not consecutive, so the target's pose would be between two of them.
                 made[which] = (_meeting if meet else _parallel)(made[which])
             else:
                 off = max(_apart(lines, made), DOUBT.rounding)

@@ -30,17 +30,21 @@ from .terms import SIZES, TRUST
 
 @compiled
 class LoopEquations(NamedTuple):
-    """The equations of one target for one ordering of the loop; the 14 columns of a table are the numbers of a line."""
+    """The loop equations of an arm for one target and one order of its joints, as tables of coefficients.
 
-    lines: Array  # (6, 6) the joint axes in this ordering
-    robot: Array  # (27, 14) coefficients in 1, cos, sin of joints 3, 4, 5, see `write_left`
-    target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2, see `write_right`
-    V: Array  # (8, 14) QR factors of the 8 rows of `target` without the constant one, taken as columns
+    The 14 columns of a table are the numbers that describe a line, see `write_numbers`.
+    """
+
+    lines: Array  # (6, 6) the joint axes in this order, one a row: direction and point
+    robot: Array  # (27, 14) coefficients of products of 1, cos and sin of joints 3, 4 and 5, see `write_left`
+    target: Array  # (9, 14) coefficients of products of 1, cos and sin of joints 1 and 2, see `write_right`
+    V: Array  # (8, 14) QR factors of `target` without its first row, the constant terms
     scales: Array  # (8,) scale of each reflection in the QR factorisation of V, see `linalg.triangle`
     order: Array  # (8,) order of the columns in the QR factorisation of V
-    # (27, 14) the coefficients robot - target[0], transformed by the reflections of the QR factorisation
+    # (27, 14) the table `robot` minus the constant terms of `target`, transformed by the reflections of the QR factorisation
     reduced: Array
-    W: Array  # (3, 6, 9) coefficients of 1, cos q3, sin q3 in the 6 equations for 9 monomials of joints 4 and 5
+    # (3, 6, 9) coefficients of 1, cos q3 and sin q3 in 6 equations for 9 products of powers of tan(q / 2) of joints 4 and 5
+    W: Array
 
 
 @inner
@@ -57,7 +61,10 @@ def sine(k):
 
 @inner
 def write_numbers(line, origin, row):
-    """Write the 14 numbers that describe a line to row (14,), with points counted from `origin` (V3)."""
+    """Write to row (14,) the numbers that describe a line with direction l and point p, counted from `origin` (V3).
+
+    They are p, l, p.p, p.l, p x l and (p.p) l - 2 (p.l) p (Raghavan and Roth 1993).
+    """
     p, along = line.point - origin, line.along
     pp, pl = p.square(), p.dot(along)
     put3(row, 0, p)
@@ -69,9 +76,9 @@ def write_numbers(line, origin, row):
 
 @inner
 def fit_joint(table, stride):
-    """Replace values at 0, 120, -120 deg of one joint by the coefficients of 1, cos, sin of its angle.
+    """Replace values at 0, 120 and -120 deg of one joint by coefficients of 1, cos and sin of its angle, in place.
 
-    table: (M, 14), one point of the grid of all joints a row; the three values of this joint are `stride` rows apart.
+    table: (M, 14), a row for each combination of the angles of all joints; the three values of this joint are `stride` rows apart.
     """
     for m in range(table.shape[0]):
         if m // stride % 3 == 0:
@@ -84,7 +91,7 @@ def fit_joint(table, stride):
 
 @inner
 def write_left(lines, table):
-    """Write to table (27, 14) the left sides of the 14 loop equations, as coefficients of products of 1, cos, sin of joints 3 to 5.
+    """Write to table (27, 14) the left sides of the 14 loop equations: coefficients of products of 1, cos, sin of joints 3 to 5.
 
     They are the 14 numbers of the line E3 E4 E5 l, where Ei is the motion of joint i and l the axis of joint 6.
 
@@ -106,10 +113,13 @@ def write_left(lines, table):
 
 @inner
 def write_right(lines, pose, table):
-    """Write to table (9, 14) the line numbers of E2^-1 E1^-1 X l as coefficients of products of 1, cos, sin of joints 1 and 2.
+    """Write to table (9, 14) the right sides of the 14 loop equations: coefficients of products of 1, cos, sin of joints 1 and 2.
+
+    They are the 14 numbers of the line E2^-1 E1^-1 X l, where Ei is the motion of joint i, X the pose to reach and l the axis of
+    joint 6.
 
     With 0, 1, 2 for 1, cos, sin of the two joints (a, b), the row of a product is 3 a + b. lines: (6, 6) axes of the reordered
-    loop; pose: its pose X; l is the axis of joint 6.
+    loop; pose: its pose X.
     """
     first, second, third, last = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2), line_of(lines, 5)
     there = line_moved(pose, last)
@@ -124,10 +134,10 @@ def write_right(lines, pose, table):
 
 @inline
 def reduce(e, mix):
-    """Eliminate joints 1 and 2 from the equations e (LoopEquations): fill e.V, e.reduced and e.W.
+    """Eliminate joints 1 and 2 from the 14 loop equations e (LoopEquations), so that 6 equations in joints 3 to 5 are left.
 
-    Returns the rank of the coefficients of their 8 monomials. mix (6, 14): fixed numbers by which more than 6 equations, left if
-    the rank is less than 8, are combined to 6.
+    Fills e.V, e.reduced and e.W. Returns the rank of the coefficients of the 8 products of cos and sin of joints 1 and 2. If it is
+    less than 8, more than 6 equations are left; mix (6, 14) has the factors by which they are combined into 6.
     """
     for c in range(8):
         for n in range(SIZES.numbers):
@@ -156,9 +166,9 @@ def reduce(e, mix):
 
 @inner
 def write_powers(w):
-    """Convert coefficients w (9,) of 1, cos, sin of joints 4 and 5 to those of powers of x = tan(q / 2), multiplied by 1 + x^2.
+    """Convert coefficients w (9,) of products of 1, cos, sin of joints 4 and 5 to those of powers of x = tan(q / 2).
 
-    For each joint, u + c cos q + s sin q becomes (u + c) + 2 s x + (u - c) x^2.
+    For each joint, u + c cos q + s sin q, multiplied by 1 + x^2, becomes (u + c) + 2 s x + (u - c) x^2.
     """
     for i in range(3):
         u, c, s = w[3 * i], w[3 * i + 1], w[3 * i + 2]
@@ -170,16 +180,18 @@ def write_powers(w):
 
 @inner
 def determinant(W, c, s, A, N):
-    """Return the determinant of the 12 equations at cos q3 = c, sin q3 = s (Manocha and Canny 1994).
+    """Return the determinant of the 12 loop equations at one angle q3 of joint 3 (Manocha and Canny 1994).
 
-    W (3, 6, 9) holds coefficients of 1, cos q3, sin q3. At one q3, with [a b d] in blocks of the powers of x4, the matrix of the
-    equations is [a b d 0; 0 a b d]. The first block, a (6 x 3), is eliminated once for both copies, then 9 x 9 are left. A (6, 9)
-    and N (9, 9) are scratch.
+    It is 0 where joint 3 has the value of a solution. c, s: cos q3, sin q3; W (3, 6, 9): coefficients of 1, cos q3, sin q3. At one
+    q3, with [a b d] in blocks of the powers of x4, the matrix of the equations is [a b d 0; 0 a b d]. The first block, a (6 x 3),
+    is eliminated once for both copies, then 9 x 9 are left. A (6, 9) and N (9, 9) are scratch.
     """
     for k in range(6):
         for m in range(9):
             A[k, m] = W[0, k, m] + c * W[1, k, m] + s * W[2, k, m]
-    first, _ = eliminate(A, 6, 9, 3)  # The sign of the row exchanges does not matter, because both copies have it.
+    first, _ = eliminate(
+        A, 6, 9, 3
+    )  # The sign of the row exchanges does not matter, because the matrix has the block twice.
     for k in range(3):
         for j in range(3):
             N[k, j], N[k, 3 + j], N[k, 6 + j] = A[3 + k, 3 + j], A[3 + k, 6 + j], 0.0
@@ -191,7 +203,7 @@ def determinant(W, c, s, A, N):
 
 @inner
 def eliminate(A, rows, columns, count):
-    """Bring the first `count` columns of A (rows, columns) to upper triangular form (Gaussian elimination, partial pivoting).
+    """Bring the first `count` columns of A (rows, columns) to upper triangular form, by Gaussian elimination with partial pivoting.
 
     Returns the product of the pivots, and the sign of the row permutation.
     """

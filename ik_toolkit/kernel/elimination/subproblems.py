@@ -20,14 +20,14 @@ from .terms import DOUBT
 
 @compiled
 class Circle(NamedTuple):
-    """The path of a point that turns about a line by x: middle + side cos x + ahead sin x."""
+    """The circular path of a point that turns about an axis by an angle x: middle + side cos x + ahead sin x."""
 
     middle: V3
     side: V3
     ahead: V3
 
     def spot(self, c, s):
-        """Return the point of the circle at the angle with cosine c and sine s."""
+        """Return the point (V3) of the circle at the angle whose cosine is c and sine s."""
         return self.middle + self.side * c + self.ahead * s
 
     def width(self):
@@ -36,7 +36,7 @@ class Circle(NamedTuple):
 
 @compiled
 class Sum(NamedTuple):
-    """A quantity that depends on where a point is on a circle: k + a cos x + b sin x."""
+    """A quantity that varies as k + a cos x + b sin x with the angle x of a joint, such as the height of a point that it turns."""
 
     k: float
     a: float
@@ -46,31 +46,31 @@ class Sum(NamedTuple):
         return self.k + self.a * c + self.b * s
 
     def drift(self, c, s, error):
-        """Return by how much the value at cosine c and sine s may be off if the angle is off by `error` [rad]."""
+        """Return a bound on the error of the value at the angle with cosine c and sine s, if the angle is off by `error` [rad]."""
         return error * (abs(self.b * c - self.a * s) + error * self.swing())
 
     def swing(self):
-        """Return by how much the value differs from k at most."""
+        """Return the amplitude: by how much the value differs from its mean k at most."""
         return math.sqrt(self.a * self.a + self.b * self.b)
 
 
 @compiled
 class Angles(NamedTuple):
-    """The angles that solve a subproblem; `first` and `second` are in rad."""
+    """The solutions of a subproblem: up to two joint angles, `first` and `second` [rad], and how certain they are."""
 
     first: float
     second: float
-    number: int  # number of solutions: 2, 1 (the two are one), or 0
+    number: int  # number of solutions: 2, 1 (both angles are equal), or 0
     error: float  # bound on the error of the angles [rad]
-    free: bool  # whether every angle is a solution, of which `first` is one
-    merged: bool  # whether the two solutions may really be one, or none, within the error
-    # whether solutions that may be one, or none, within the error could be apart by more than can be neglected
+    free: bool  # whether every angle is a solution, so that `first` is only one of them
+    merged: bool  # whether, within the error, the two solutions may be one, or may not exist
+    # whether `merged` solutions may be too far apart to be treated as one (more than DOUBT.apart)
     doubt: bool
 
 
 @inline
 def circle_about(line, point, sense):
-    """Return the Circle of a point (V3) that turns about a line by the angle x, or by -x (sense 1.0 or -1.0)."""
+    """Return the Circle on which a point (V3) turns about a line by the angle x, or by -x (sense 1.0 or -1.0)."""
     away = point - line.point
     height = line.along * line.along.dot(away)
     side = away - height
@@ -79,22 +79,22 @@ def circle_about(line, point, sense):
 
 @inline
 def height_on(circle, axis):
-    """Return the height along an axis through the origin of a point that runs round a circle, as a Sum over its angle."""
+    """Return the height of a point on a circle along an axis through the origin, as a Sum over the angle on the circle."""
     return Sum(circle.middle.dot(axis), circle.side.dot(axis), circle.ahead.dot(axis))
 
 
 @inline
 def square_on(circle, point):
-    """Return half the squared distance between a point on a circle and a fixed point, as a Sum."""
+    """Return half the squared distance of a point on a circle from a fixed point, as a Sum over the angle on the circle."""
     m = circle.middle - point
     return Sum(0.5 * (m.square() + circle.side.square()), m.dot(circle.side), m.dot(circle.ahead))
 
 
 @inner
 def solve_sum(sum, value, error):
-    """Return, as Angles, the solutions x of k + a cos x + b sin x = value, where each number may be off by `error`.
+    """Solve k + a cos x + b sin x = value for x, where each number may be off by `error`; return the solutions as Angles.
 
-    sum: the left side (Sum).
+    sum: k, a and b, as a Sum.
     """
     a, b, c = sum.a, sum.b, value - sum.k
     size, band = math.sqrt(a * a + b * b), DOUBT.band * error
@@ -112,9 +112,9 @@ def solve_sum(sum, value, error):
 
 @inner
 def angle_from(axis, start, end, error):
-    """Return, as Angles, the rotation about a unit axis that takes the direction `start` as near as possible to `end`.
+    """Return, as Angles, the rotation about a unit axis that brings the direction `start` as near as possible to `end`.
 
-    Both directions, of any length, may be off by `error`.
+    The two vectors may have any length; their components may be off by `error`.
     """
     a, b = start - axis * axis.dot(start), end - axis * axis.dot(end)
     length = math.sqrt(min(a.square(), b.square()))
@@ -126,7 +126,7 @@ def angle_from(axis, start, end, error):
 
 @compiled
 class AngleRanges(NamedTuple):
-    """One or two arcs of a circle, of equal length; `first` and `second` are the angles of their middles [rad]."""
+    """The range of a joint angle: one or two arcs of equal length, centred at the angles `first` and `second` [rad]."""
 
     first: float
     second: float
@@ -136,11 +136,14 @@ class AngleRanges(NamedTuple):
 
 @inner
 def arcs_between(sum, low, high):
-    """Return the arcs on which low <= k + a cos x + b sin x <= high (a Sum); if there are none, the angles that come nearest."""
+    """Return the angles x at which low <= k + a cos x + b sin x <= high, as one or two arcs (AngleRanges).
+
+    If there are none, the arcs have length 0, at the angles where the sum comes nearest. sum: k, a and b, as a Sum.
+    """
     size, middle = max(sum.swing(), 1e-300), math.atan2(sum.b, sum.a)
     near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
     far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
-    if near == 0.0:  # Both arcs meet at the angle `middle`, or opposite to it if `far` is pi, so they are one.
+    if near == 0.0:  # The two arcs touch at the angle `middle`, so they are one, all round the circle if `far` is pi.
         return AngleRanges(middle, middle, 1, far)
     if far == math.pi:
         return AngleRanges(middle + far, middle + far, 1, far - near)
