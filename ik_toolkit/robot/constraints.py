@@ -17,7 +17,7 @@ from .base import joint_value, put_joint
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits, mimics
 
-# To close a loop by joints off the path to the tip: steps of Levenberg-Marquardt from each start, and number of starts.
+# A loop is closed by moving joints off the path to the tip: at most STEPS Levenberg-Marquardt steps from each of TRIES starts.
 STEPS, TRIES = 40, 5
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
 SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
@@ -90,7 +90,10 @@ class ConstraintCheck(NamedTuple):
 
 
 def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-    """Check the loops and relations of a robot at q (n,), with the tolerances `position` [m] and `orientation` [rad]."""
+    """Check the loops of a robot and the relations between its joints at q (n,); return a ConstraintCheck.
+
+    The tolerances are `position` [m] and `orientation` [rad].
+    """
     if not robot.constraints:
         return ConstraintCheck(True, "")
     closure = robot.memo.get("closure")
@@ -122,7 +125,7 @@ class CoupledConstraints(NamedTuple):
 
 
 class Closure:
-    """Evaluates the constraints of a robot that depend on q, and finds the joints off the path to the tip that may satisfy them."""
+    """Checks the constraints of a robot, such as loops, at a q, after moving joints off the path to the tip to satisfy them."""
 
     def __init__(self, robot: Any) -> None:
         """Find the joints of a Robot or Tree on which each of its constraints depends."""

@@ -30,7 +30,7 @@ def short(text: str) -> str:
 
 
 def row_numbers(word: str, numbers: Sequence[int]) -> str:
-    """Return row or line numbers as text after `word`, such as 'line 4' or 'lines 4, 7 and 9'; beyond five they are counted."""
+    """Return row or line numbers as text, such as 'line 4' or 'lines 4, 7 and 9'; of more than five the others are counted."""
     texts = [str(number) for number in numbers[:5]]
     texts += [f"{len(numbers) - 5} more"] if len(numbers) > 5 else []
     return f"{word} {texts[0]}" if len(texts) == 1 else f"{word}s {', '.join(texts[:-1])} and {texts[-1]}"
@@ -52,7 +52,7 @@ def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
         )
         yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
-    # np.load would say in its error that the file could be unpickled, which is unsafe.
+    # This is checked first, because the error of np.load would suggest to unpickle the file, which is unsafe.
     if not zipfile.is_zipfile(path):
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
@@ -73,7 +73,7 @@ def _array(path: Path, name: str, value: Any, base: str) -> np.ndarray:
         rows = [_as_numbers(_of_message(path, k, row, base)) for k, row in enumerate(value)]
         shape = next((row.shape for row in rows if row is not None), ())
         wrong = [k for k, row in enumerate(rows) if row is None or row.shape != shape]
-        if not wrong:  # Every row gave an array, and all have the same shape.
+        if not wrong:  # Every row could be read as an array, and all have the same shape.
             return np.array(rows)
         more = f"; so {'are' if wrong[2:] else 'is'} {row_numbers('row', wrong[1:])}" if wrong[1:] else ""
         many = f" {shape[0]}" if len(shape) == 1 else ""
@@ -92,7 +92,7 @@ def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
 
 def _as_numbers(value: Any) -> np.ndarray | None:
     """Return lists of numbers as an array of floats; None if they are anything else."""
-    # The checks of `floats` in errors.py would be slow for many rows.
+    # The function `floats` of errors.py is not used here, because its checks would be slow for many rows.
     with suppress(TypeError, ValueError, OverflowError):
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
@@ -111,7 +111,7 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
 
 def _refuse_rotations(path: Path, names: Iterable[str]) -> None:
     """Raise InvalidTarget if one of the `names` of arrays that stand beside positions is that of rotations."""
-    # A saved run may have errors and tolerances of its orientations, which turn nothing.
+    # A saved run may have arrays of orientation errors and tolerances, which are not rotations of the targets.
     others = [name for name in map(str.lower, names) if not re.search("error|between|tolerance", name)]
     if unread := rotation_columns(others):
         raise InvalidTarget(f"'{path.name}': {', '.join(unread)} would not be read; {FORMS[path.suffix.lower()]}")

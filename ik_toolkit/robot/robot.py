@@ -32,7 +32,7 @@ from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
 
-# attributes with caches, which a copy must not share
+# These attributes are caches of one robot, so they are left out of copies and pickles.
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
 
 
@@ -272,7 +272,7 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._filled(q))
-        # The base is not fixed: a joint between the root and the base may mimic one on the path.
+        # The base frame may move in the model, because a joint between root and base may mimic one on the path.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
@@ -288,7 +288,7 @@ class Robot(Joints):
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
-        # The base moves too, so its Jacobian is subtracted from that of the tip.
+        # The base frame may move in the model too, so its Jacobian is subtracted from that of the tip.
         for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):
             K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
             K[:3] -= pin.skew(point - frame.translation) @ K[3:]
@@ -355,7 +355,7 @@ class Robot(Joints):
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
         follow = len(self.model.mimicking_joints)
-        # A given model may lack the mimic joints of its URDF; it is then pickled itself.
+        # A model given by the user may lack the mimic joints of its URDF. It cannot be made from that again, so it is pickled.
         if self.urdf is not None and (follow or not followers(self.urdf).tied):
             state["model"] = state["_original"] = state["_given"] = None
         elif follow:
