@@ -264,7 +264,7 @@ class BasedModel(NamedTuple):
 
 
 def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> BasedModel:
-    """Return the model that a robot uses: the given one on its base, all joints replaced by ones with one degree of freedom.
+    """Return the model that a robot computes with: the given one on its base, with one degree of freedom in every joint.
 
     `on_base` and `base_limits` are the options of `Robot.load`. Raises InvalidOption, InvalidTarget, ModelError.
     """

@@ -106,8 +106,10 @@ class _Writer:
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # Each function turns qpos of a keyframe into pairs of joint name and value.
-        # Of the five joints that replace a limited ball joint, the last two mimic the first two: (leader, ratio, offset) by name.
+        # Functions that each take the vector qpos of an MJCF keyframe and return pairs of joint name and value.
+        self.values: list[Any] = []
+        # A ball joint with a limited range is replaced by five joints, of which the last two mimic the first two. This is the
+        # leader, ratio and offset by name of mimic joint.
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
@@ -244,7 +246,7 @@ class _Writer:
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
             return name, "prismatic", T, axis, limits or (-ENDLESS, ENDLESS)
-        # A tendon may limit one side only, so the other limit is infinite.
+        # A joint limited by a tendon may have a limit on one side only, and the other is infinite, which URDF cannot hold.
         if limits is not None and not np.isfinite(limits).all():
             limits = np.nan_to_num(limits, posinf=ENDLESS, neginf=-ENDLESS).tolist()
         return name, "revolute" if limits else "continuous", T, axis, limits

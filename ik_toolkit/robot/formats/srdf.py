@@ -96,7 +96,8 @@ class Srdf:
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # A chain carries the chains that begin where it ends, so that point is not an end of the group.
+        # The tip of a chain where another chain of the group begins is no end of the group.
+        if chains:
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:

@@ -10,7 +10,7 @@ from ...errors import ModelError
 from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
 MEMBERS = ("link", "joint", "chain", "group")  # the elements that a <group> may contain
-# By element: the attributes that it must have. A <group_state> that lacks one is left out with a remark; others are errors.
+# For each element of an SRDF, the attributes without which it is an error. A <group_state> without a name is only left out.
 NEEDED = {
     "chain": ("base_link", "tip_link"),
     "link": ("name",),

@@ -35,15 +35,15 @@ class UrdfCaps(NamedTuple):
 CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # characters that may precede the first < of XML: blanks and the byte order mark
 ENDLESS = 1e16  # A limit of position, velocity or effort of this size means "no limit".
-# by joint type: its number of degrees of freedom
+# The number of degrees of freedom of each joint type of URDF.
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-SIZES = {  # by shape: its attributes with sizes, and how many numbers each of them holds
+SIZES = {  # For each shape, its attributes with sizes, and how many numbers each of them holds.
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
 }
-NUMBERS = {  # by element: its attributes with numbers, and how many numbers each of them holds
+NUMBERS = {  # For each element, its attributes with numbers, and how many numbers each of them holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "mimic": {"multiplier": 1, "offset": 1},

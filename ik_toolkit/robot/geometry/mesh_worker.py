@@ -24,7 +24,8 @@ FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is
 REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
 # Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# Packages that trimesh imports if it finds them. No mesh needs them, and importing them takes three times as long as the rest.
+# Packages that trimesh imports if they are installed. They are kept from it: no mesh needs them, and importing them takes three
+# times as long as all other imports.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
@@ -67,7 +68,7 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Raise MeshRefused for a .dae file with entity declarations or nodes that contain themselves or are nested too deep."""
     stack: list[str] = []
-    # by id of a node or scene: the ids of the nodes in it, and of those of which it has instances
+    # For each node or scene, by id: the ids of the nodes in it, and of the nodes of which it has instances.
     inside: dict[str, list] = {}
     parser = expat.ParserCreate()
 
@@ -95,9 +96,9 @@ def check_xml(raw: bytes) -> None:
 
 
 def check_instances(inside: dict[str, list]) -> None:
-    """Raise MeshRefused for nodes that contain themselves, are nested too deep, or expand to too many by instances of instances.
+    """Raise MeshRefused if nodes of a mesh file contain themselves, are nested too deep, or expand to too many nodes.
 
-    `inside` maps the id of a node to the ids of the nodes in it, of which instances are one.
+    `inside` maps the id of a node to the ids of the nodes in it. An instance of another node counts as a copy of that node.
     """
     size: dict[str, int] = {}
 
@@ -117,7 +118,10 @@ def check_instances(inside: dict[str, list]) -> None:
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Return a .gltf file with the contents of its buffer files in place of their paths, as a reader would open any path."""
+    """Return a .gltf file with the contents of its buffer files in place of their paths.
+
+    Otherwise the library that reads it would open the paths, which may be outside the allowed folders.
+    """
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")

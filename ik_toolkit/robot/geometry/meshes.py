@@ -63,7 +63,8 @@ class Mesh:
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # a cache; its keys are kind, path, size, modification time and allowed folders
+# A cache of the meshes read so far; its keys are kind, path, size, modification time and allowed folders.
+_read: dict[tuple, Mesh] = {}
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
@@ -178,7 +179,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
             "triangles": CAPS.triangles,
             "memory": CAPS.memory,
         }
-        # One thread is enough, and every further one takes memory.
+        # The numerical libraries of the reading process need one thread only, and every further one takes memory.
         threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         # The limit on wall time allows for a busy machine or a slow disk.
         lines, ended = run(WORKER, "reads meshes", job, 6.0 * math.fsum(seconds), **threads)
