@@ -12,7 +12,7 @@ from ..report import Report
 
 
 class Numbers(NamedTuple):
-    """How many IK solutions each of N poses has."""
+    """The numbers of IK solutions of N poses, as `numbers` counts them."""
 
     all: np.ndarray  # (N,) number of solutions if joint limits are ignored
     legal: np.ndarray  # (N,) number of solutions within the limits

@@ -26,19 +26,19 @@ from ...text import length
 from ...validate import not_negative, number, positive
 from ..report import Report
 
-TURN = 2.0 * np.pi + 1e-9  # largest angle [rad] that is not taken for degrees
-# [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
+TURN = 2.0 * np.pi + 1e-9  # A larger angle is refused, because it was probably given in degrees instead of radians.
+# A planned lift keeps this distance [m] from the ends of its windows, where a joint is at a limit or the arm is singular.
 MARGIN = 0.002
-SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
+SEAMS = {  # Two weld seams of 41 poses on the canister: angles [rad] around it, and heights [m].
     "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
     "longitudinal, 50 to 650 mm": (0.0, np.linspace(0.05, 0.65, 41)),
 }
-SPEED = 0.02  # speed of the tip along the seam [m/s]
+SPEED = 0.02  # Speed of the tip along the seam [m/s].
 
 
 @dataclass(frozen=True)
 class Canister:
-    """A cylinder that stands upright: radius and height [m], and the middle of its bottom (3,), base frame [m].
+    """An upright cylinder whose welds are inspected: radius and height [m], and the middle of its bottom (3,) [m], base frame.
 
     Raises InvalidOption if a number is out of range.
     """
@@ -92,7 +92,11 @@ class Canister:
 
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """Plan to inspect a seam of N poses: windows of the lift for each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
+    """A plan to inspect a weld seam of N poses with the inspection robot, whose prismatic joint is called the lift.
+
+    `windows` has for each pose the ranges of the lift that reach it, `branch` (0 to 7) the posture of the arm, `lifts` (N,) [m] the
+    lift at each pose, and `path` the motion.
+    """
 
     windows: list[list[LiftWindow]]
     branch: int
@@ -108,7 +112,7 @@ class WeldPlan:
 
     @property
     def travel(self) -> float:
-        """Return the sum of the steps of the lift [m] from pose to pose, up and down, the least possible for the poses."""
+        """Return how far the lift moves in all [m], up and down, counted from pose to pose; no plan of the branch has less."""
         return float(np.abs(np.diff(self.lifts)).sum())
 
     @property
@@ -205,13 +209,13 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))
-        # candidates are the ends of all windows; the midpoints between them help to choose among equal sequences
+        # The candidates for lifts are the ends of all windows. The midpoints between them help to choose among equal sequences.
         c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
         for mask, link in zip(inside[1:], joined, strict=True):
-            # least cost of the sequences that end at each candidate
+            # For each candidate, the least travel of all sequences that end at it.
             base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1, initial=np.inf)
             up = np.minimum.accumulate(base - c, axis=1) + c
             down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
@@ -222,7 +226,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         w, j = ties[np.argmin(np.abs(c[ties[:, 1]] - 0.5 * (c[ties[:, 1].min()] + c[ties[:, 1].max()])))]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-            # among equal sequences, the one in which the lift rests is preferred
+            # The factor is slightly above 1, so that of equal sequences the one in which the lift stays at rest is chosen.
             step = (1.0 + 1e-9) * np.abs(c - values[-1])
             total = np.where(link[:, w, None], cost, np.inf) + step
             w, j = np.unravel_index(np.argmin(total), total.shape)
