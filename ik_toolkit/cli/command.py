@@ -176,7 +176,8 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
 def require_extra(package: str, extra: str) -> None:
     """Raise MissingExtra, before any work is done, if a package is not installed; extra: name of the extra that installs it."""
     try:
-        importlib.metadata.distribution(package)  # A package of data has no module to look for.
+        # The metadata of a package are looked for and not its module, which a package of data does not have.
+        importlib.metadata.distribution(package)
     except importlib.metadata.PackageNotFoundError:
         raise MissingExtra(package, extra) from None
 

@@ -165,9 +165,8 @@ def limits(
         narrowed.setdefault(i, []).append((words, first, last))
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
-        if (
-            0.0 < lower[i] - upper[i] <= rounding
-        ):  # The limits are in the wrong order only by rounding, so they are equal.
+        # Limits that are in the wrong order only by rounding are equal.
+        if 0.0 < lower[i] - upper[i] <= rounding:
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [_turns(model, j) for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():

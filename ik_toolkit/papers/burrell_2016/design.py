@@ -92,7 +92,7 @@ def search_theory(robot: Robot, published: StateSpace, q0: np.ndarray, count: in
 
 
 def margin_gain(robot: Robot) -> float:
-    """Return a gain K_p [degrees per mm] for which IK-PID is stable near most random configurations: below their gain margins."""
+    """Return a gain K_p [degrees per mm] below the gain margins of most random configurations, so that IK-PID is stable there."""
     margins = gain_margins(robot, robot.random_q(np.random.default_rng(0), CONFIGURATIONS))
     return float(SAFETY * np.percentile(margins, WEAKEST) / PID_UNITS["mm-deg"])
 

@@ -10,9 +10,8 @@ from ...compile.jit import cached
 # Variants of the step of Newton's method: full, with line search, Levenberg-Marquardt, with limited length.
 PLAIN, SEARCH, LEVENBERG, STEP = range(4)
 LONGEST = 0.5  # Largest step [rad] of a joint in the variant STEP.
-LIMIT = math.radians(
-    150.0
-)  # The joint limit [rad] of the toolkit's robot planar_2r, used because the paper gives none.
+# The joint limit [rad] of the toolkit's robot planar_2r, used because the paper gives none.
+LIMIT = math.radians(150.0)
 TOLERANCE = 1e-10
 ITERATIONS = 50
 NO_CLIP = 1e9

@@ -140,9 +140,8 @@ def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, 
     own: dict[str, Any] = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}
     options = {**options, **own.get(name, {}), **changes}
     h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
-    with np.errstate(
-        all="ignore"
-    ):  # A run that stops because sqrt(q) is undefined is reported, so numpy need not warn.
+    # A run that stops because sqrt(q) is undefined is reported, so numpy need not warn.
+    with np.errstate(all="ignore"):
         return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)
 
 
