@@ -143,7 +143,7 @@ def _cache() -> dict[str, Any]:
         from ..kernel.chain import forward_kinematics
 
         folder, broken = damaged(forward_kinematics)
-    except Exception as error:  # other rows of the report say which part of the installation is broken
+    except Exception as error:  # Whatever is broken, this row says so and the others of the report are still made.
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
         why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")

@@ -48,13 +48,16 @@ class UnfoldedJoint(NamedTuple):
 
 
 class GivenModel(NamedTuple):
-    """The Pinocchio model as the user gave it, and those of its joints that have several degrees of freedom."""
+    """The Pinocchio model that the user gave, if it has joints with several degrees of freedom (`blocks`).
+
+    The robot computes with another model, in which these joints are replaced; the methods convert configurations.
+    """
 
     model: pin.Model
     blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
-        """Convert a configuration (nq,) of `model`, whose joints have one degree of freedom each, to one of the given model."""
+        """Return the configuration (nq,) of the user's model for one of `model`, whose joints have one degree of freedom each."""
         q = pin.neutral(self.model)
         for own, other, size in self._same(model):
             q[own : own + size] = full[other : other + size]
@@ -64,7 +67,7 @@ class GivenModel(NamedTuple):
         return q
 
     def back(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
-        """Convert a configuration (nq,) of the given model to one of `model`, whose joints have one degree of freedom each."""
+        """Return the configuration (nq,) of `model`, whose joints have one degree of freedom each, for one of the user's model."""
         full = pin.neutral(model)
         for own, other, size in self._same(model):
             full[other : other + size] = q[own : own + size]

@@ -116,7 +116,10 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
 
 
 class CoupledConstraints(NamedTuple):
-    """Constraints that share m joints off the path to the tip, with the ids of these joints and their limits (m,) [rad or m]."""
+    """Constraints that must be satisfied together, because they depend on the same m joints off the path to the tip.
+
+    `joints` has the ids of these joints, `lower` and `upper` their limits (m,) [rad or m].
+    """
 
     constraints: list[Constraint]
     joints: list[int]

@@ -104,7 +104,7 @@ class Joints(ReadOnly):
     _path: JointPath
     _given: GivenModel | None
     _original: pin.Model | None
-    _wide: Any = None  # the robot that this variant with narrower limits was made from, or None
+    _wide: Any = None  # For a variant with narrower limits, the robot from which it was made.
 
     def _note(self, notes: Iterable[str]) -> None:
         """Store notes on the description, and log those that are new."""

@@ -64,7 +64,7 @@ def _format_of(entry: RobotEntry) -> Format:
         return FORMATS[".xacro"]
     except IsMjcf:
         return FORMATS[".mjcf"]
-    # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
+    # A macro call in a .xacro file must be expanded. In a .urdf file it is a leftover that is ignored.
     return FORMATS[".xacro" if suffix == ".xacro" and "<xacro:" in text else ".urdf"]
 
 
@@ -227,7 +227,8 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
     travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
-    if not (long > 50.0 and mass < 100.0 * long):  # more than 50 m, and less than 100 kg per metre
+    # Only links over 50 m long and under 100 kg per metre seem to be in millimetres.
+    if not (long > 50.0 and mass < 100.0 * long):
         return []
     weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [

@@ -13,7 +13,7 @@ from ..kernel.checks import RIGID
 from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
-LAST = (0.0, 0.0, 0.0, 1.0)  # the last row of every homogeneous transform
+LAST = (0.0, 0.0, 0.0, 1.0)  # The last row of every homogeneous transform.
 # A rotation matrix is projected to the nearest rotation if its singular values differ from 1 by at most this.
 PROJECT_WITHIN = 1e-2
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -17,11 +17,12 @@ from .ros import listed_poses
 from .rotation import rotation_columns
 
 QUAT = ("qx", "qy", "qz", "qw")
-FORMS = {  # descriptions of the file formats, for error messages
+FORMS = {  # What a file of targets may contain, by suffix, for error messages.
     ".json": 'JSON has a list of positions, [[0.5, 0.1, 0.3]], or poses (4, 4), or an object with lists "xyz" and "quat_xyzw"',
     ".npz": "NPZ has an array xyz (N, 3), with quat_xyzw (N, 4) for poses, or targets (N, 4, 4) or (N, 3)",
 }
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w in quaternions of each order
+# For each order of a quaternion's numbers, the columns in which x, y, z and w are.
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}
 
 
 def short(text: str) -> str:

@@ -51,8 +51,8 @@ class JointPath(NamedTuple):
     # coordinates because they move another tip of a Tree.
     own: int
     owner: dict[int, int]  # By id of a joint that a coordinate moves (also mimic joints): the index of that coordinate.
-    idx_q: np.ndarray  # (n,) where each coordinate begins in a configuration (nq,)
-    circle: np.ndarray  # (n,) whether each coordinate is stored as cosine and sine in a configuration (nq,)
+    idx_q: np.ndarray  # For each of the n coordinates, where it begins in a Pinocchio configuration (nq,).
+    circle: np.ndarray  # For each of the n coordinates, whether Pinocchio stores it as cosine and sine.
 
 
 def mimics(model: pin.Model) -> dict[int, tuple[int, float, float]]:
@@ -201,7 +201,10 @@ def limits(
 
 
 def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
-    """Return the middle of the limits (n,) [rad or m]; with an infinite limit, or `centred` (n,) False, the value nearest 0."""
+    """Return a start value (n,) [rad or m] for each joint: the middle of its limits, or the legal value nearest 0.
+
+    The latter is for joints with an infinite limit, and where `centred` (n,) is False.
+    """
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
     found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -260,9 +263,10 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Return whether joint j (id) is revolute (else prismatic), its motion [rad or m] per unit of its coordinate, and axis (3,).
+    """Return the screw of a Pinocchio joint: whether it is revolute (else prismatic), its ratio and its unit axis (3,).
 
-    `data` needs the result of a forward kinematics. Raises ModelError for a joint that does neither, or does not move.
+    The ratio is its motion [rad or m] per unit of its coordinate in q. j: id of the joint. data: a pin.Data after forward
+    kinematics. Raises ModelError for a joint that is neither revolute nor prismatic, or does not move.
     """
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
@@ -312,7 +316,8 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # cosine of the rotation about x before the joint; it is set below for all but the first joint
+        # This is the cosine of the rotation about x before the joint. Only the first joint keeps the value of 1.
+        row[0] = 1.0
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:

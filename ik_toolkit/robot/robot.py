@@ -95,7 +95,7 @@ class Robot(Joints):
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # (lower, upper) by joint, of a copy made by `narrowed`
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits by joint that `narrowed` gave to this variant.
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in followers(urdf).rest.items():
             self._set_rest(joint, value, False)
@@ -348,7 +348,7 @@ class Robot(Joints):
         other._build(self.home)
         return other
 
-    write = write_urdf  # writes the description as a plain URDF
+    write = write_urdf  # robot.write(file) saves the robot's description as one plain URDF.
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""

@@ -48,7 +48,7 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame whose name consists of the words `said` follows a naming convention for tips, itself a set of words.
+    """Return whether a frame's name, split into words `said`, has all words of a naming convention, and none of other parts.
 
     A name with the words "arm" and "tool" follows only the convention of these two words, which ranks below a hand.
     """
@@ -57,7 +57,10 @@ def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Return whether any of the words `said` is one of `names`, by default of parts that carry no tool; 'camera2' is 'camera'."""
+    """Return whether a frame's name, split into words `said`, contains one of `names`, such as 'finger' or 'camera'.
+
+    By default `names` are words for parts on which no tool is mounted. Digits at the end do not count: 'camera2' is 'camera'.
+    """
     return any(word.rstrip("0123456789") in names for word in said)
 
 

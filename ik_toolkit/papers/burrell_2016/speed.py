@@ -16,7 +16,7 @@ from ..report import Report, Work, cell, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
-SETS = range(7, 14)  # seeds of the sets of 1000 goals
+SETS = range(7, 14)  # Seeds of the random generator, each for a set of 1000 goals.
 
 
 class Amount(NamedTuple):
@@ -37,7 +37,7 @@ AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
 BASE = "J+"  # All times are divided by that of this method, the pseudo-inverse.
-# For each of these methods, the method of Table II with which it is compared.
+# For each of our variants of a published method, the method of Table II with which its time is compared.
 SAME_AS = {"J+, plain": "J+", "DLS, clipped": "DLS", "DLS, limits held": "DLS"}
 
 # By method, for each tolerance an array with the times [s] of all runs.

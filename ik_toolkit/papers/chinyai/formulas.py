@@ -46,14 +46,14 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
         if k == iterations or not ee < 1e300:
             break
         b1, b2 = l2 * math.cos(t1 + t2), l2 * math.sin(t1 + t2)
-        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # the Jacobian of the 2R arm is [[-a2, -b2], [a1, b1]]
+        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # The Jacobian of the arm is [[-a2, -b2], [a1, b1]].
         if kind == LEVENBERG:
             g1, g2 = -a2 * ex + a1 * ey, -b2 * ex + b1 * ey
             h11, h12, h22 = a1 * a1 + a2 * a2 + damping, a1 * b1 + a2 * b2, b1 * b1 + b2 * b2 + damping
             det = h11 * h22 - h12 * h12
             d1, d2 = (h12 * g2 - h22 * g1) / det, (h12 * g1 - h11 * g2) / det
         else:
-            det = a1 * b2 - a2 * b1  # determinant of the Jacobian, l1 l2 sin(theta_2)
+            det = a1 * b2 - a2 * b1  # The determinant of the Jacobian, which is l1 l2 sin(theta_2).
             if det == 0.0:
                 break
             d1, d2 = -(b1 * ex + b2 * ey) / det, (a1 * ex + a2 * ey) / det

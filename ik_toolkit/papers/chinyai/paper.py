@@ -71,7 +71,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
             (f"the same with atan2 for both arctan, {name} signs", np.arctan2(y, x) + sign * turned),
             (f"corrected (always minus, signed sine, atan2), {name} sign of theta_2", np.arctan2(y, x) - turned),
         ):
-            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # tip position as a complex number, x + iy
+            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # The tip as x + iy.
             rows.append([words, 100.0 * float(np.mean(np.abs(reached - (x + 1j * y)) < 1e-9))])
     report.table("formulas", ["formulas", "targets reached (%)"], rows)
     report.text(

@@ -15,7 +15,10 @@ FLOOR = 1e-8  # Lower end [m] of the axes of errors. Runs with smaller errors ar
 
 
 def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
-    """Draw Fig. 9: the stable gains of method cv over (h, kappa), and of method ca over (kd, kp) for several h."""
+    """Draw Fig. 9: which gains are stable, for the paper's method cv over (h, kappa), for ca over (kd, kp) at several h.
+
+    h is the sample time [s]; kappa [1/s], kp [1/s^2] and kd [1/s] are the gains. sets: the published gains, which are marked.
+    """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     h = np.linspace(0.002, 0.35, 600)
     left.fill_between(h, 0, 1 / h, color="#D9D9D9", lw=0)

@@ -136,11 +136,12 @@ class WeldPlan:
 
 
 def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
-    """Plan the inspection of a seam with the least travel of the lift (`least_travel`), and certify the motion between its poses.
+    """Plan how the robot inspects a weld seam so that its prismatic joint, the lift, moves least; return a WeldPlan.
 
-    Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
-    is chosen. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out. Its
-    deviation is that from the straight motion between two poses: a girth weld of few poses has its corners cut off.
+    The motion between the poses is made and checked as by `solve_path`. Of branches with the same travel of the lift, the one whose
+    other joints move least is chosen. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is
+    not ruled out. Its deviation is that from the straight motion between two poses, which cuts corners of a girth weld with few
+    poses.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -178,7 +179,10 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
 
 
 def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionModel | None = None) -> PathResult:
-    """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on it between them."""
+    """Return the joint motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), checked between the poses.
+
+    The result has proven bounds on how far the tip leaves the straight motion, and on contact with the shapes of `model`.
+    """
     plan, kinds, T = Solver(robot, "lm").plan_for((KIND.pose,)), (KIND.pose,), poses[:, None]
     curve, at, cut = densify(plan, kinds, q, T, [], STEP, TOLERANCE)
     curve = np.clip(curve, robot.lower, robot.upper)
@@ -195,14 +199,15 @@ def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionMo
 
 
 def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dict[int, np.ndarray]:
-    """Return for each branch the lifts (N,) [m] with the least travel, the sum of |d_i+1 - d_i|.
+    """Return for each branch the values (N,) [m] of the prismatic joint, the lift, that make its travel least.
 
-    Each d_i lies in a window of pose i that is shortened by the margin at both ends, and the windows of successive poses must
-    overlap. A branch without such a sequence is left out. The minimum is exact: between the window ends the sum is piecewise linear
-    in the lifts, so some best sequence consists of window ends, and a shortest path through all window ends finds it. Of several
-    best sequences, the one is taken whose last lift is nearest the middle of all best last lifts. Backwards from there the lift
-    stays where it is as long as that adds no travel. Nothing is said about the lift between the poses, nor about motions that
-    change the branch.
+    The travel is the sum of |d_i+1 - d_i| over the poses i of a seam. `windows` has for each pose the ranges of the lift in which
+    it is reached. Each d_i lies in a window of pose i that is shortened by the margin at both ends, and the windows of successive
+    poses must overlap. A branch without such a sequence is left out. The minimum is exact: the sum is piecewise linear in the
+    lifts, so some best sequence consists of window ends, and a shortest path through all window ends finds it. Of several best
+    sequences, the one is taken whose last lift is nearest the middle of all best last lifts. Backwards from there the lift stays
+    where it is as long as that adds no travel. Nothing is said about the lift between the poses, nor about motions that change the
+    branch.
     """
     made = {}
     for k in range(8):

@@ -248,7 +248,7 @@ class Expansion:
             self.xacro.filestack.pop()
             raise self.xacro.XacroException(exc=error) from None
         for element in document.getElementsByTagName("xacro:arg"):
-            # xacro refuses an argument without a default even if its value is given.
+            # xacro refuses an argument without a default even if its value is given, so an empty default is added.
             if not element.hasAttribute("default"):
                 if element.getAttribute("name") in self.arguments:
                     element.setAttribute("default", "")

@@ -25,7 +25,7 @@ from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_pack
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
 ROLES = {"surface": "collision", "look": "visual"}
-Problems = list[tuple[str, str]]  # an element of the URDF as text, and what is wrong with it
+Problems = list[tuple[str, str]]  # Faulty shapes: for each an element of the URDF as text, and what is wrong with it.
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class References:
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # sentences on references outside the allowed folders, which were not followed
+        self.refused: list[str] = []  # Sentences on references that lead out of the allowed folders and were not read.
         self.last = ""
 
     def get(self, name: str) -> bytes:
@@ -181,7 +181,7 @@ def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
         get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
         write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
-    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here.
+    warnings.simplefilter("ignore")  # trimesh warns about materials, which are not used here.
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]

@@ -94,7 +94,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
-    if not separator and name.startswith("file:/"):  # an absolute path without a host, as in file:/tmp/arm.stl
+    if not separator and name.startswith("file:/"):  # A file URL may have no host, as in file:/tmp/arm.stl.
         scheme, separator, rest = name.partition(":")
     if not name or "\0" in name:
         raise ModelError("has no usable file name")
@@ -111,7 +111,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         ]
     else:
         places = [os.path.join(folder, rest if separator else name) for folder in folders]
-    places += [unquote(place) for place in places if "%" in place]  # URLs write a space as %20
+    places += [unquote(place) for place in places if "%" in place]  # In a URL a space is written as %20.
     inside = [place for place in places if lies_in(Path(os.path.normpath(place)), folders)]
     if not inside:
         raise ModelError(
