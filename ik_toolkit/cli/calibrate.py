@@ -81,7 +81,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)
-    if asked.html is not None:  # This page has no 3-D scene, so no extra has to be installed for it.
+    if asked.html is not None:  # The page of `ik calibrate` has no 3-D scene, so it needs no extra package.
         as_output(asked.html, "the file of --html", ".html", ".htm")
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]

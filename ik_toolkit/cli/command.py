@@ -96,7 +96,7 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        # These classes are not compared or printed, so the methods for it are not made, which would take time at each start.
+        # Records of options are not compared or printed. Making the methods for that would only slow down each start.
         made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         for one in _declared(made):
             info = one.metadata["info"]

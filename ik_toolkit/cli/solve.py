@@ -257,7 +257,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # This first solve, of the pose at home, compiles or loads the code, so that the displayed time is that of solving only.
+        # A first solve, of the pose at home, compiles or loads the code, so that the displayed time is that of solving only.
         solve_one(arm, at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}

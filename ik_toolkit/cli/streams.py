@@ -68,7 +68,7 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
         file = Path(folder) / ((named[1].decode() if named else "stdin") + kind)
         with file.open("wb") as written:
             written.write(head)
-            if kind in (".csv", ".npz"):  # These hold many targets, so their size has no limit.
+            if kind in (".csv", ".npz"):  # Files of these kinds hold many targets, so their size has no limit.
                 shutil.copyfileobj(source, written)
             else:
                 written.write(source.read(JSON_BYTES + 1 - len(head)))

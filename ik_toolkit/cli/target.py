@@ -54,7 +54,7 @@ class TargetOptions:
 
     @property
     def posed(self) -> bool:
-        """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
+        """Whether a single target is described by an option: --xyz, --matrix or one for the orientation."""
         given = (self.xyz, self.matrix, self.rpy, self.quat_xyzw, self.quat_wxyz)
         return any(one is not None for one in given)
 
@@ -246,7 +246,7 @@ def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # It may name an unknown tip, which the solver refuses later.
+    relative = options.get("relative_to") or {}  # If this names an unknown tip, the solver refuses it later.
     return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
 
 

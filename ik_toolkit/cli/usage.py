@@ -16,10 +16,10 @@ PYTHON_NAMES = {
     "acceleration_limits": "acceleration", "relative_to": "relative", "count": "suggest", "package_dirs": "package_dir",
     "xacro_args": "xacro_arg", "base_limits": "rail",
 }  # fmt: skip
-# This matches the name of a library argument that is the subject of an error message, to replace it by the name of the option.
+# A regular expression for a library argument that is the subject of an error message, to replace it by the name of the option.
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| \(| must | is | has | of '| ')")
-# This matches arguments with a value in an error message, such as limits=False, tip= or base='world'. Nothing in quotes matches,
-# because that is what a user has typed.
+# A regular expression for arguments with a value in an error message, such as limits=False, tip= or base='world'. Nothing in
+# quotes matches, because that is what a user has typed.
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)']|$)")
 WIDEST = 100  # The help is at most this wide [characters], because longer lines are hard to read.
 COLUMN = 30  # In the help the explanations of options begin at this column.

@@ -79,7 +79,7 @@ class Report:
         self.table(key, [*rows[0]], [[*row.values()] for row in rows])
 
     def number(self, key: str, value: Any) -> Any:
-        """Store a number under a key of `data` and return it."""
+        """Store a number (or a structure of numbers) for report.json, under a key of `data`, and return it."""
         self.data[key] = value
         return value
 

@@ -88,13 +88,13 @@ class GivenModel(NamedTuple):
 
 
 def joint_value(joint: Any, full: np.ndarray) -> float:
-    """Return the value [rad or m] of a Pinocchio joint with one degree of freedom in a configuration `full` (nq,)."""
+    """Return the value [rad or m] of a joint with one degree of freedom in the Pinocchio configuration `full` (nq,)."""
     x = full[joint.idx_q : joint.idx_q + joint.nq]
     return float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
 
 
 def put_joint(joint: Any, full: np.ndarray, value: float) -> None:
-    """Write the value [rad or m] of a Pinocchio joint with one degree of freedom into a configuration `full` (nq,), in place."""
+    """Write the value [rad or m] of a joint with one degree of freedom into the Pinocchio configuration `full` (nq,)."""
     x = (value,) if joint.nq == 1 else (math.cos(value), math.sin(value))
     full[joint.idx_q : joint.idx_q + joint.nq] = x
 

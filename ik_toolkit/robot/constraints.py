@@ -183,7 +183,11 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-        """Check the constraints at `full` (nq,), after moving joints off the path to the tip, in place, to satisfy them."""
+        """Move joints off the path to the tip so that the constraints hold, then check the constraints.
+
+        full: Pinocchio configuration (nq,), in which these joints are changed in place. position [m] and orientation [rad] are
+        the tolerances.
+        """
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -208,7 +212,7 @@ class Closure:
         return " and ".join(parts)
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residual (k,) [m, rad] of a constraint at `full` (nq,), and its derivative (k, nv) by the joint velocities."""
+        """Return the residual (k,) [m, rad] of a constraint at a Pinocchio configuration `full` (nq,), and its Jacobian (k, nv)."""
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         return self._residual(constraint, full)
 

@@ -21,7 +21,7 @@ from .packages import MANIFESTS
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # Robot names that begin with this are of the package robot_descriptions.
 MENAGERIE = "mujoco-menagerie:"  # Robot names that begin with this are folders of the MuJoCo Menagerie.
-# This environment variable gives the folder of a copy of the MuJoCo Menagerie, here as in the package mujoco-menagerie.
+# The environment variable with the folder of a copy of the MuJoCo Menagerie; the package mujoco-menagerie reads it too.
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
@@ -296,6 +296,6 @@ def _file(source: str | Path) -> Path | None:
     try:
         path = Path(source).expanduser()
         return path.absolute() if str(source) and path.is_file() else None
-    # These errors mean that the text is no path: too long, with a NUL character, or with ~ where there is no home folder.
+    # An error here means that the text is no path: it is too long, has a NUL character, or has ~ where there is no home folder.
     except (OSError, ValueError, RuntimeError):
         return None

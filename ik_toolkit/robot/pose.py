@@ -331,7 +331,7 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
 
     Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
     must be `base` where both are given. A rotation matrix whose singular values are within 1e-2 of 1 is projected to the nearest
-    rotation, and the sentence says so. of: what has this pose, for messages. Raises InvalidTarget if the target is none of these.
+    rotation, and the sentence says so. of: name of the thing at this pose, for messages. Raises InvalidTarget for anything else.
     """
     needed = f"{'a target' if of == 'target' else f'the pose of a {of}'} must be {FORMS}"
     T = floats(as_array(target, base), needed, InvalidTarget)

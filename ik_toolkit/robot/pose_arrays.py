@@ -53,7 +53,7 @@ def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
         )
         yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
-    # This is checked first, because the error of np.load would suggest to unpickle the file, which is unsafe.
+    # A file that is not NPZ is refused before np.load reads it, whose error would suggest to unpickle it, which is unsafe.
     if not zipfile.is_zipfile(path):
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
@@ -179,7 +179,7 @@ def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
 def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: str) -> None:
     """Raise InvalidTarget unless the times t (N,) [s] increase.
 
-    The message calls the file `name` and the faulty row `word` with its number out of `numbers` (N,).
+    The message names the file (`name`) and the faulty row, as `word` ('line' or 'row') with its number in `numbers` (N,).
     """
     back = np.flatnonzero(~(np.diff(t) > 0.0))
     if len(back):
@@ -237,8 +237,8 @@ def quaternion_poses(
 ) -> np.ndarray:
     """Make poses (m, 4, 4) of positions xyz (m, 3) and quaternions x, y, z, w (m, 4).
 
-    Raises InvalidTarget for a quaternion whose length differs from 1 by 1 % or more. The message calls the file `name`, the row
-    `word` with its number out of `lines` (m,), and the columns qx, qy, qz, qw after `prefix`.
+    Raises InvalidTarget for a quaternion whose length differs from 1 by 1 % or more. The message names the file (`name`), the row,
+    as `word` ('line' or 'row') with its number in `lines` (m,), and the columns, as qx, qy, qz, qw after `prefix`.
     """
     length = np.linalg.norm(quat, axis=1)
     bad = ~(np.abs(length - 1.0) < 1e-2)

@@ -43,7 +43,7 @@ class JointPath(NamedTuple):
     """The joints between base and tip of a Pinocchio model, and where their n coordinates are in its configuration (nq,)."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
-    # The first `up` of these joints lead from the base towards the root, the others from there to the tip.
+    # Of the joints of the path, the first `up` lead from the base towards the root, the others from there to the tip.
     up: int
     # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
     leaders: list[int]

@@ -32,7 +32,7 @@ from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
 
-# These attributes are caches of one robot, so they are left out of copies and pickles.
+# Attributes of a Robot that are caches; they are left out of copies and pickles.
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
 
 
@@ -246,7 +246,7 @@ class Robot(Joints):
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # `off > AGREE` would accept NaN.
+        if not off <= AGREE:  # Unlike `off > AGREE`, this is true for NaN too.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"

@@ -18,7 +18,7 @@ from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
-ENDS = 8  # A message lists at most this many ends of paths.
+ENDS = 8  # A message lists at most this many links at the ends of a robot's branches.
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # Arms may give different homes for a joint that they share. In this reversed order the value of the first arm is kept.
+        # Arms may have different home values for a joint that they share. In reversed order the first arm is the last to set it.
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)

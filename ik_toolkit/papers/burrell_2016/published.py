@@ -9,7 +9,7 @@ from ...robot.robot import Robot
 from ...solvers.batch.result import BatchResult
 from ...solvers.batch.solve_batch import solve_batch
 
-# This matrix rotates vectors in the axes of base_link to the axes of the paper.
+# A matrix that turns vectors in the axes of the robot's base_link into vectors in the axes of the paper.
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # Tolerance [m] and iteration limit are our choice; the paper gives neither.
 PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}

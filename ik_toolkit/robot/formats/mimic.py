@@ -103,7 +103,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        # `walk` lists this joint, its leader, the leader of that, and so on, up to a joint that is done or mimics no other.
+        # `walk` lists a mimic joint, its leader, the leader of that, and so on, up to a joint that is done or mimics no other.
         walk = [name]
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")

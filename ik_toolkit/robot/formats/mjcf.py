@@ -108,8 +108,8 @@ class _Writer:
         self.names: set[str] = set()
         # Functions that each take the vector qpos of an MJCF keyframe and return pairs of joint name and value.
         self.values: list[Any] = []
-        # A ball joint with a limited range is replaced by five joints, of which the last two mimic the first two. This is the
-        # leader, ratio and offset by name of mimic joint.
+        # The leader, ratio and offset of each mimic joint that is made for a ball joint with a limited range. Such a joint is
+        # replaced by five joints, of which the last two mimic the first two.
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 

@@ -27,8 +27,8 @@ from ik_toolkit.robot.formats.xacro_values import LARGEST, LONGEST, Evaluator, F
 from ik_toolkit.robot.packages import find_package
 
 FILES = 1_000  # An <xacro:include> with wildcards reads at most this many files.
-# This regular expression matches the parameters of a macro as that of xacro does, but without nested repetition, which can take
-# exponential time.
+# A regular expression for the parameters of a xacro macro. That of xacro itself has nested repetition, which can take exponential
+# time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )

@@ -26,11 +26,11 @@ from ...kernel.clearance import (
 from ..probe import mimics
 from .convex import hull_of
 
-# This lock is held while coal computes a convex hull, because coal stores it in the mesh, which other threads may use.
+# A lock for the computation of convex hulls, because coal stores a hull in its mesh, which other threads may use.
 BUILDING = threading.Lock()
-# The nearest points of two shapes may jump, for example from one end of an edge to the other. So up to CORNERS pairs of points that
-# were nearest before are kept for each pair of shapes, while their distance is at most NEARBY [m] above the least one. Points
-# within APART [m] of each other count as one.
+# While a robot moves, the nearest points of two shapes may jump, as from one end of an edge to the other. So for each pair of
+# shapes up to CORNERS pairs of earlier nearest points are remembered, as long as their distance is at most NEARBY [m] above the
+# least. Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
@@ -74,10 +74,10 @@ def _thick(points: np.ndarray) -> bool:
 
 
 class Clearance:
-    """Measures the distances of all tested pairs of a CollisionModel; it belongs to one thread.
+    """Measures the distances between all tested pairs of shapes of a CollisionModel; each thread needs its own.
 
-    For each of the P pairs, `a` and `b` are its shapes, `own` says whether both are the robot's, and `home` is the distance at home
-    [m]. `exact` says whether their hulls meet at home, so that their exact shapes are always measured.
+    For each of the P pairs, `a` and `b` are the indices of its shapes, `own` says whether both are the robot's, and `home` is their
+    distance [m] at the home configuration. `exact` says whether their hulls touch there, so that the exact shapes are measured.
     `coordinates` (E,) is the index in q of each moving joint.
     """
 

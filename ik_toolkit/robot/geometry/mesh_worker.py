@@ -24,8 +24,8 @@ FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is
 REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
 # Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# Packages that trimesh imports if they are installed. They are kept from it: no mesh needs them, and importing them takes three
-# times as long as all other imports.
+# Packages that trimesh would import if they are installed. They are hidden from it, because no mesh needs them and importing them
+# takes three times as long as all other imports.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 

@@ -27,14 +27,14 @@ SECONDS = 4.0
 
 
 class MeshCaps(NamedTuple):
-    """Limits on the mesh files of a robot, so that none exhausts the computer; "the largest" is a file of example-robot-data."""
+    """Limits on the mesh files of a robot, so that reading them does not exhaust the computer's memory or time."""
 
-    bytes: int = 100_000_000  # Limit on the bytes of a file; the largest has 29 MB.
-    triangles: int = 2_000_000  # Limit on the triangles of a file; the largest has 351,394.
+    bytes: int = 100_000_000  # Limit on the size of a file. The largest in example-robot-data has 29 MB.
+    triangles: int = 2_000_000  # Limit on the triangles of a file. The most in example-robot-data are 351,394.
     meshes: int = 1_000  # Limit on the number of different mesh files of a robot.
     packages: int = 50  # Limit on the number of ROS packages that a robot's meshes come from.
-    memory: int = 2_000_000_000  # Limit on the memory [bytes] of the reading process; the largest file takes 0.5 GB.
-    seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
+    memory: int = 2_000_000_000  # Limit on the memory [bytes] of the reading process; a file of 29 MB takes 0.5 GB.
+    seconds_per_mb: float = 2.0  # Processor time [s] allowed for each MB of a file, in addition to SECONDS.
     crashes: int = 5  # Limit on the number of reading processes that may crash for one robot.
     kept: int = 256  # Number of files whose triangles are cached.
 
