@@ -30,7 +30,7 @@ _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """Raised instead of compiling code, so that the command can be answered without. `folder` (or None) is the cache folder."""
+    """Raised instead of compiling code, so that a command can run without compiled code. `folder` is the cache folder or None."""
 
     def __init__(self, folder: Path | None) -> None:
         """Store the folder of the cache."""

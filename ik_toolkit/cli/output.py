@@ -125,7 +125,7 @@ def show(*things: Any) -> None:
         if _least(thing) > room:
             for column in thing.columns:
                 column.no_wrap = column.no_wrap and column.justify == "right"
-        # In a narrow terminal lines longer than it are better than cut-off numbers.
+        # If the terminal is too narrow, lines that are too long for it are better than cut-off numbers.
         console.width = max(room, _least(thing))
         drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
         console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")

@@ -9,7 +9,7 @@ import typer.core
 
 from ..text import in_shell
 
-# Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
+# The base class of click's usage errors. It is found through typer, because some versions of typer contain their own copy of click.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 # Arguments of the library whose options of `ik` have other names.
 PYTHON_NAMES = {

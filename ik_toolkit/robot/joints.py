@@ -165,7 +165,7 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict by tip, also a single one, which is the only tip's. Raises FrameNotFound."""
+        """Return targets or poses as a dict by tip; for a Robot a single one, not in a dict, is its tip's. Raises FrameNotFound."""
         if named := is_by_name(given):
             self.check_tips(given)
         return given if named or self.by_tip else {self.tips[0]: given}

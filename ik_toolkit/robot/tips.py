@@ -48,9 +48,10 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame's name, split into words `said`, has all words of a naming convention, and none of other parts.
+    """Return whether a frame's name follows a naming convention for tips: it has all its words, and none such as 'finger'.
 
-    A name with the words "arm" and "tool" follows only the convention of these two words, which ranks below a hand.
+    said: the words of the name. A name with the words "arm" and "tool" follows only the convention of these two words, which is a
+    weaker sign of a tip than "hand".
     """
     on_arm = "arm" in said and "tool" in said
     return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)

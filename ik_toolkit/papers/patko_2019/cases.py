@@ -51,7 +51,7 @@ SETS = {
 
 # ------------------------------------------------------------------------------------------------ the three systems
 def one_dof(c: float = 0.2) -> System:
-    """Return the system r = c + sqrt(q) with one joint, eq. (37), which is not defined for q < 0."""
+    """Return the System r = c + sqrt(q) with one joint q and one task coordinate r, eq. (37). It is not defined for q < 0."""
     return System(
         lambda q: c + np.sqrt(q),
         lambda q: np.array([[0.5 / np.sqrt(q[0])]]),
@@ -60,7 +60,7 @@ def one_dof(c: float = 0.2) -> System:
 
 
 def pp_arm(length: float = 0.5) -> System:
-    """Return the tip of two perpendicular prismatic joints, eq. (38)."""
+    """Return the System for the tip of an arm with two perpendicular prismatic joints, eq. (38)."""
     return System(lambda q: length + q, lambda q: np.eye(2), lambda q, x, y: np.zeros(2))
 
 

@@ -56,7 +56,7 @@ def read_mjcf(source: str | Path, package_dirs: Iterable[str | Path] = (), *_: A
 def _compile(xml: str, name: str) -> dict[str, Any]:
     """Compile MJCF text in a subprocess and return the model as MuJoCo describes it, which must not be changed."""
     silent = "it crashed MuJoCo, or took too much time or memory"
-    # MuJoCo writes its log to the current folder, so the process gets one of its own.
+    # MuJoCo writes its log to the current folder, so the process runs in a temporary folder of its own.
     with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:
         answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
     if "error" in answer:

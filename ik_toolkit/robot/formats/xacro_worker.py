@@ -62,7 +62,7 @@ class GivenArguments(dict):
 
 
 class Expansion:
-    """Runs the module xacro with all its functions replaced that would evaluate Python or read files without limits."""
+    """Runs the Python module xacro, with safe functions for those that would evaluate Python or read files without limits."""
 
     def __init__(self, job: dict) -> None:
         """Store the job and replace the functions of xacro."""
@@ -142,12 +142,12 @@ class Expansion:
         }
 
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
-        """Replace `eval_all` of xacro: expand the children of an element, and count them as evaluation steps, which are limited."""
+        """Replace `eval_all` of xacro: expand the children of an element, which count as steps towards a limit for the file."""
         self.evaluator.spend(4 + len(node.childNodes))
         self.original["eval_all"](node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """Replace `resolve_macro` of xacro: return a macro, and count the copy of its body as evaluation steps."""
+        """Replace `resolve_macro` of xacro: return a macro. Copying its body counts as steps towards a limit for the file."""
         try:
             found = self.original["resolve_macro"](name, macros, symbols)
         except KeyError:
@@ -162,14 +162,14 @@ class Expansion:
         return found
 
     def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        """Replace `replace_node` of xacro: put nodes in the place of one, and count that as evaluation steps."""
+        """Replace `replace_node` of xacro: put nodes in the place of one, which counts as steps towards a limit for the file."""
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
         self.original["replace_node"](node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
-        """Replace `eval_text` of xacro: evaluate a text with ${...} and $(...), and count that as evaluation steps."""
+        """Replace `eval_text` of xacro: evaluate a text with ${...} and $(...), within limits on its length and steps."""
         if "$" not in text:
             return text
         if len(text) > LONGEST:

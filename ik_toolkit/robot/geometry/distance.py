@@ -298,7 +298,7 @@ class Clearance:
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
-        # A plane perpendicular to the shortest distance separates convex shapes, but not always others, which get no plane.
+        # The plane perpendicular to the shortest distance separates two convex shapes. It may not separate others: they get none.
         normals[self._on_surface[ks]] = 0.0
         out = np.empty(len(ks))
         pairs = Separation(ks, normals, distances)

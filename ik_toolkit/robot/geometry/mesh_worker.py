@@ -21,7 +21,7 @@ sys.path.append(str(Path(__file__).parents[3]))
 from ik_toolkit.robot.formats.sandbox import limit
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
-REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
+REPEATED = 100_000  # Limit on the nodes of a mesh file, in which an instance of a node counts as a copy of it.
 # Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
 # Packages that trimesh would import if they are installed. They are hidden from it, because no mesh needs them and importing them
