@@ -212,7 +212,7 @@ class OneTip(WholeRobot):
 def slides(robot: Any, joint: str) -> bool:
     """Return whether a joint of the robot's model is prismatic; it may be off the path to the tip, or mimic another joint."""
     model = robot.model
-    # In Pinocchio the first three rows of a joint's motion subspace are its linear velocity.
+    # A prismatic joint has a linear velocity: the first three rows of its motion subspace S in Pinocchio are not all 0.
     return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
 
 

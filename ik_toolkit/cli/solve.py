@@ -125,7 +125,7 @@ class WishOptions:
         """
         read: dict[str, Any] = {} if self.objective is None else {"objective": self.objective}
         if self.follow is not None:
-            # 0 is refused here, because the library takes it for no bound.
+            # --follow 0 is refused here, because the library takes 0 for no bound on the move.
             read["follow"] = in_radians(above_zero(self.follow, "--follow"), deg)
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:

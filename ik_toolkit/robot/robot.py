@@ -231,7 +231,7 @@ class Robot(Joints):
         self._compare()
         strokes = np.array([lower, upper])[:, self.slides & ~based]
         self._note(doubted_size(model, path.joints, tip_id, strokes))
-        # The home of a library robot has no values for the joints of a moving base, so they are put before it.
+        # The home of a library robot has no values for the joints of a moving base, so start values of these are put first.
         if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
@@ -355,7 +355,7 @@ class Robot(Joints):
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
         follow = len(self.model.mimicking_joints)
-        # A model given by the user may lack the mimic joints of its URDF. It cannot be made from that again, so it is pickled.
+        # A model given by the user may lack the mimic joints of its URDF. Then it could not be made again from that text.
         if self.urdf is not None and (follow or not followers(self.urdf).tied):
             state["model"] = state["_original"] = state["_given"] = None
         elif follow:

@@ -24,7 +24,8 @@ GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12,
 EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
 # A gain that solves this many of 1000 goals, or fewer, counts as poor: the paper says "say 20 % of reachable points" in section 4.
 POOR = 200.0
-# The goal printed for Fig. 4 cannot be reached. To find another, this many random goals are tried, and the best at every gain.
+# The goal printed for Fig. 4 cannot be reached. To find another, CANDIDATES random goals are tried at some gains, and the best
+# MATCHES of them at every gain.
 CANDIDATES, MATCHES = 200_000, 40
 
 

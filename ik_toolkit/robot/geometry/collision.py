@@ -245,7 +245,7 @@ class CollisionModel(Surroundings):
         """
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
-        # The default requests of Pinocchio start from the result of the last call, so results could depend on earlier calls.
+        # Pinocchio's default requests start from the result of the last call. These do not, so results depend on no earlier call.
         for k, margin in enumerate((margins + more).tolist()):
             found.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)

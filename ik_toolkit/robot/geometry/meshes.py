@@ -22,7 +22,7 @@ from ..formats.sandbox import run
 from ..packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-# Cap on processor time [s] for each file. The largest file of example-robot-data takes 1.6 s in all.
+# Processor time [s] allowed for reading a mesh file, whatever its size. The largest of example-robot-data takes 1.6 s.
 SECONDS = 4.0
 
 
