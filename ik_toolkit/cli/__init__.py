@@ -54,7 +54,7 @@ def application() -> typer.Typer:
     return app
 
 
-@functools.cache  # building takes 30 ms, so a process that calls `main` repeatedly builds once
+@functools.cache  # Building the command line takes 30 ms, so a process that calls `main` repeatedly does it once.
 def _command() -> Any:
     """Return the command line as click runs it."""
     return typer.main.get_command(application())
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
-    came: list[int] = []  # numbers of the signals (SIGINT, SIGTERM) that have ended the command
+    came: list[int] = []  # The numbers of the signals (SIGINT, SIGTERM) that have arrived to end the command.
     if argv is None:
         first_use.allow()
     try:
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(came)
     except Exception as error:
-        if came:  # Python may have dropped the KeyboardInterrupt, and then this error is a consequence
+        if came:  # After Ctrl-C any error is a consequence: Python may drop the KeyboardInterrupt and continue.
             return _stopped(came)
         if debug:
             raise
@@ -111,7 +111,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "ik"
         option = getattr(error, "option_name", None)
-        # if click suggests no option, one with the same words in another order may be meant
+        # If click finds no similar option, one with the same words in another order (--limit-speed, --speed-limit) may be meant.
         if context and option and not getattr(error, "possibilities", True):
             names = [name for parameter in context.command.params for name in parameter.opts]
             error.possibilities = [one for one in names if sorted(one.split("-")) == sorted(option.split("-"))]  # type: ignore[attr-defined]

@@ -44,7 +44,8 @@ class Solutions:
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Open a temporary file next to `path`; names: names of the joints. Raises InvalidOption, OSError."""
         self.file, self.names, self.count = WholeFile(path), names, 0
-        self.table: Any = None  # the csv.writer or ParquetWriter; None until the first part is written
+        # The writer of a CSV or Parquet file (csv.writer, ParquetWriter); None until the first part is written.
+        self.table: Any = None
 
     def write(self, part: BatchResult) -> None:
         """Write one part of the results to the file; each subclass has its own format."""
@@ -55,7 +56,7 @@ class Solutions:
 
     def add(self, part: BatchResult) -> None:
         """Append one part of the results to the file, and add its targets to `count`."""
-        with self.file.named():  # errors of numpy and pyarrow do not name the file
+        with self.file.named():  # Adds the name of the file to errors of numpy and pyarrow, which lack it.
             self.write(part)
         self.count += len(part)
 
@@ -193,7 +194,7 @@ def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[s
         many, interrupted = stop.result, stop
     except BatchCheckFailed as failure:
         _refuse(failure, form(output, arm.joint_names))
-    with form(output, arm.joint_names) as file:  # no file is made if the options are refused
+    with form(output, arm.joint_names) as file:  # Opened only here, so that refused options leave no file behind.
         try:
             for part in parts if many is None else iter([many]):
                 with uninterrupted():

@@ -81,7 +81,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
     if asked.output is not None:
         what = ("the corrected robot", ".urdf") if asked.suggest is None else ("what --suggest finds", ".csv")
         as_output(asked.output, *what)
-    if asked.html is not None:  # a page without a scene, which needs no extra
+    if asked.html is not None:  # The page of `ik calibrate` has no 3-D scene, so it needs no extra package.
         as_output(asked.html, "the file of --html", ".html", ".htm")
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]
@@ -151,7 +151,7 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]
         return what, Q * (unit if Q.ndim == 2 and Q.shape[1] == arm.n else 1.0), measured
     if path.suffix.lower() != ".csv" or not path.is_file():
         raise InvalidTarget(f"--data takes an existing .csv or .npz file, not '{path}'")
-    kinds = ("socket", "plane", "distance")  # for these kinds the file has a column of this name
+    kinds = ("socket", "plane", "distance")  # Each of these kinds of measurement has a column of its name in the file.
     header, Q = read_columns(path, arm.joint_names)
     Q = Q * unit
     what = asked.what or next((kind for kind in kinds if kind in header), None)

@@ -20,10 +20,10 @@ from ..files import as_output, require_place
 from ..text import comma_hint, decimal, numbers
 from .usage import UsageError, help_text, in_flags
 
-TIP = ("--tip", "--ee")  # both names of the option for a tip
+TIP = ("--tip", "--ee")  # The option that names a tip has these two names.
 MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
 PLOTS = (".png", ".pdf", ".svg")
-REQUIRED = MISSING  # as a default, it makes an option or argument mandatory
+REQUIRED = MISSING  # An option or argument with this as its default must be given.
 Record = TypeVar("Record")
 
 
@@ -96,7 +96,7 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        # nothing uses eq and repr, and making them takes time
+        # Records of options are not compared or printed. Making the methods for that would only slow down each start.
         made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         for one in _declared(made):
             info = one.metadata["info"]
@@ -147,14 +147,17 @@ def add_commands(app: typer.Typer, module: Any) -> None:
     """Add the commands of a module to the command line program."""
     for one in vars(module).values():
         if hasattr(one, "rules") and one.__module__ == module.__name__:
-            # the docstring is None under python -OO
+            # Python started with -OO removes docstrings, so there may be none.
             said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
 
 
 # --------------------------------------------------------------------------------------------------------------- files
 def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """Return a callback that checks an output path before the work starts: suffix, folder, and what draws a plot or a scene."""
+    """Return a callback for an option that names an output file; it checks the path before the work starts.
+
+    It raises an error for a wrong suffix, a missing folder, or a package that is needed to draw the file and not installed.
+    """
 
     def check(param: typer.CallbackParam, file: Path | None) -> Path | None:
         if file is None:
@@ -173,7 +176,8 @@ def writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Pat
 def require_extra(package: str, extra: str) -> None:
     """Raise MissingExtra, before any work is done, if a package is not installed; extra: name of the extra that installs it."""
     try:
-        importlib.metadata.distribution(package)  # A package of data has no module to look for.
+        # The metadata of a package are looked for and not its module, which a package of data does not have.
+        importlib.metadata.distribution(package)
     except importlib.metadata.PackageNotFoundError:
         raise MissingExtra(package, extra) from None
 
@@ -222,8 +226,9 @@ def in_radians(angle: float, deg: bool) -> float:
 
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
-    """Click's class for each command; it also refuses several tips where one is taken, and a file that is input and output, or two
-    outputs.
+    """The click class of each command of `ik`, with checks that click does not make.
+
+    It refuses several tips where one is taken, an output file that is also an input, and one file for two outputs.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -232,11 +237,11 @@ class Command(typer.core.TyperCommand):
             name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts if name[:2] == "--"
         }
         args = _joined(args, several)
-        # When the shell asks for a completion, an option at the end that still lacks its value would stop the parser.
+        # If the shell asks for a completion, the last option may still lack its value, which the parser would refuse.
         if ctx.resilient_parsing:
             return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        # click would use only the last of several tips
+        # If --tip is given several times, click would silently use the last one.
         if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):
             names = " or ".join(TIP)
             raise InvalidOption(f"{ctx.command_path} takes one tip and {names} names {tips}; choose one of them")
@@ -244,7 +249,7 @@ class Command(typer.core.TyperCommand):
             if one.name in ("xyz", "matrix") and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            # the parser gets a copy, because it empties its list
+            # click's parser empties the list that it is given, so it gets a copy.
             return super().parse_args(ctx, [*args])
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
@@ -267,7 +272,7 @@ class Command(typer.core.TyperCommand):
             for word in value if isinstance(value, list | tuple) else [value]:
                 if not isinstance(word, str | Path) or any(word is output for output in written):
                     continue
-                # an argument SOLVER=FILE reads FILE
+                # An argument may have the form SOLVER=FILE, and then FILE is read.
                 read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
@@ -309,7 +314,8 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     for position, word in enumerate(words):
         if word == "--":
             return [*joined, *words[position:]]
-        if collecting and joined[-1].endswith("="):  # this word is the first number, alone or as TIP:NUMBER
+        # The first word after an option with several numbers belongs to it: a number, or TIP:NUMBER.
+        if collecting and joined[-1].endswith("="):
             joined[-1] += word
             continue
         if collecting and _like_a_number(word):

@@ -8,7 +8,10 @@ from ..errors import IKError
 
 
 def robots_like(incomplete: str) -> list[tuple[str, str]]:
-    """Complete a robot's name in the shell: names and descriptions; if there are none, the shell completes file names."""
+    """Return the robot names that begin with an incomplete word, each with a description, for completion in the shell.
+
+    If there are none, the shell completes file names.
+    """
     from ..robot.library import data_files, list_robots
 
     known = {entry.name: entry.description for entry in list_robots()}
@@ -20,7 +23,7 @@ def robots_like(incomplete: str) -> list[tuple[str, str]]:
 
 
 def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Complete a link's name in the shell: links of the robot on the command line that begin with a word."""
+    """Return the links that begin with an incomplete word, of the robot on the command line, for completion in the shell."""
     from ..robot.formats.urdf import parse, safe_read
     from ..robot.library import find
 
@@ -31,7 +34,10 @@ def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Complete a tip's name in the shell: a known tip of the robot on the command line, or else one of its links."""
+    """Return tips that begin with an incomplete word, for completion in the shell.
+
+    They are the known tips of the robot on the command line or, if none fits, its links.
+    """
     from ..robot.library import find
 
     with contextlib.suppress(IKError):
@@ -41,7 +47,10 @@ def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def solvers_like(incomplete: str) -> list[tuple[str, str]]:
-    """Complete the last name of a comma-separated list of solvers in the shell: lists and descriptions."""
+    """Return completions of a comma-separated list of solvers, whose last name is incomplete, for the shell.
+
+    Each is a whole list with a description of its last solver.
+    """
     from ..solvers.registry import list_rows
 
     before, comma, word = incomplete.rpartition(",")

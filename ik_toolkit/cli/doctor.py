@@ -20,13 +20,13 @@ from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
-ROOM = 2**21  # [bytes] free space that is tested; every file of compiled code is smaller
-DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that only developers need are not reported
+ROOM = 2**21  # Space [bytes] that the cache folder must have free. Each file of compiled code is smaller.
+DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # Extras that only developers need; they are not reported.
 
 
 @options()
 class DoctorOptions(JsonOutput):
-    """Options of `ik doctor`, which compile code instead of checking the installation."""
+    """Options of `ik doctor`: whether it compiles all code instead of checking the installation."""
 
     prepare: bool = flag(
         "--prepare", "Compile what the default solvers need now; about half a minute, once.", without=["--json"]
@@ -146,7 +146,7 @@ def _cache() -> dict[str, Any]:
         from ..kernel.chain import forward_kinematics
 
         folder, broken = damaged(forward_kinematics)
-    except Exception as error:  # other rows of the report say which part of the installation is broken
+    except Exception as error:  # Whatever is broken, this row says so and the others of the report are still made.
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
         why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")

@@ -94,7 +94,7 @@ def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
     if asked.as_json:
         write_json({**payload, "urdf": text}, True)
     elif asked.output is None:
-        # control characters are escaped, so that the text is safe for a terminal
+        # Control characters from the file are escaped, because they could change the terminal.
         print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")
 
 

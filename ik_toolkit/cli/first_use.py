@@ -17,19 +17,20 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-# Environment variables: a user sets WAIT to wait for compilation; INTERPRETED is set for the run that does not compile.
+# The first command of a new installation is answered by interpreted code while the code is compiled in the background. Users set
+# the environment variable WAIT to wait for compilation instead. INTERPRETED is set for the run without compilation.
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
-AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable that marks the second or third run of a command
-BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
-NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # files of the background process in the folder of compiled code
-# name of a file that exists while a background process compiles, and remains if that process dies
+AGAIN = "IK_TOOLKIT_AGAIN"  # This environment variable is set if a command is run again, without or after compilation.
+BUDGET = 2000  # Limit on the evaluations of a run without compilation, which take about 1 s.
+NOT_ANSWERED = 75  # Exit code of a run that has used up this budget without an answer (EX_TEMPFAIL of sysexits.h).
+LOCK, LOG = "compiling.lock", "compiling.log"  # Files of background compilation, in the folder of compiled code.
+# A file of this name exists while a background process compiles, and remains if that process dies.
 BEGUN = "compiling.begun"
 _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """Raised where a command would begin to compile. `folder` is where the compiled code would be cached, or None."""
+    """Raised instead of compiling code, so that a command can run without compiled code. `folder` is the cache folder or None."""
 
     def __init__(self, folder: Path | None) -> None:
         """Store the folder of the cache."""
@@ -43,12 +44,15 @@ class _Stop(logging.Handler):
 
 
 def allow() -> None:
-    """Let `instead_of_compiling` take effect, unless the environment asks to wait (IK_TOOLKIT_WAIT) or is that of a build (CI)."""
+    """Allow this process to answer a command without compiled code, by the context manager `instead_of_compiling`.
+
+    This does nothing if environment variables ask to wait for compilation (IK_TOOLKIT_WAIT) or mark a build server (CI).
+    """
     _here["allowed"] = not any(os.environ.get(name) for name in (WAIT, INTERPRETED, "CI", "NUMBA_DISABLE_JIT"))
 
 
 def budget() -> int | None:
-    """Return the largest number of evaluations of a run without compilation, None for a compiled run."""
+    """Return how many evaluations a solve may take: a limit if this process runs uncompiled code, which is slow, else None."""
     return BUDGET if os.environ.get(INTERPRETED) else None
 
 
@@ -61,7 +65,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Context manager: code in the block raises CompileNeeded instead of compiling, if `allow` was called before."""
+    """Context manager in which code that has to be compiled raises CompileNeeded, if `allow` was called before."""
     _here["past"] = True
     if not _here["allowed"]:
         yield
@@ -77,19 +81,19 @@ def instead_of_compiling() -> Iterator[None]:
 def said_before() -> bool:
     """Return whether an earlier run of this command has already shown the messages that are logged now.
 
-    This is so in a second or third run (the variable AGAIN is set), until it passes the point where the first run stopped because
-    code had to be compiled.
+    If code has to be compiled, a command stops and is run again. Up to the point where it stopped, the new run logs the same
+    messages.
     """
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
 def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) -> int:
-    """Run the command again without compilation, then start to compile in the background; return the command's exit code.
+    """Run a command again with uncompiled code, then start to compile in the background; return the command's exit code.
 
     arguments: words of the command line. folder: where compiled code is cached, or None. came: numbers of the signals that have
     raised KeyboardInterrupt.
     """
-    # The child imports from the same folders; `python -m` would also import from the current one, whose files must not be run.
+    # The new process imports from the same folders as this one. With `python -m` it would also import from the current folder.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
@@ -97,14 +101,14 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
     code = _run([*command, *arguments], without, came)
     if code == NOT_ANSWERED:
         return _run([*command, *arguments], {**waiting, AGAIN: "1"}, came)
-    if code not in (0, 1):  # the uncompiled run has already explained its failure
+    if code not in (0, 1):  # The run without compilation has failed and said why.
         return code
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
         return code
     from ..compile.cache import folder as common
 
-    folder = common() or folder  # the log is always here, although code of closed forms is cached elsewhere
+    folder = common() or folder  # The log is always in the common cache folder, although some code is cached elsewhere.
     if why := died(folder):
         notice(f"solved without compiled code: {why}")
         return code
@@ -129,11 +133,11 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
             return process.wait()
         except KeyboardInterrupt:
             try:
-                process.wait(1.0)  # Ctrl-C in a terminal reaches the child as well
+                process.wait(1.0)  # Ctrl-C in a terminal goes to the new process too, which then ends by itself.
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGTERM if signal.SIGTERM in came else signal.SIGINT)
             code = process.wait()
-            if code < 0:  # a signal ended the child before it could report anything
+            if code < 0:  # A signal ended the new process before it could report the interruption.
                 raise
             return code
 

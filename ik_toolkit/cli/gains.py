@@ -58,10 +58,10 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
             raise InvalidOption("gains with a delay are judged at rest only; omit --delay or --path")
         q0 = joint_vector(arm, asked.q0, "--q0", robot.deg)
         along_path = {"robot": arm, "path": asked_path(arm, asked, q0, {}, 1e-3).reference, "q0": q0}
-    used = chosen(asked)  # this refuses a rate of 0 before the division below
+    used = chosen(asked)  # Called before the division by the rate, because it refuses a rate of 0.
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
-    if along_path and check.longest_step > 0.0:  # 0: the gains are stable at no rate
+    if along_path and check.longest_step > 0.0:  # A longest step of 0 means that these gains are stable at no rate.
         arguments: dict[str, Any] = along_path | used
         least = least_rate(method=asked.method, **arguments)
     names = ("rate", "most", "at_rest", "bands", "largest_move", "message")
@@ -81,7 +81,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
 
 
 def chosen(asked: PathOptions) -> dict[str, float]:
-    """Return the gains of the tracking method by name: those given as options, and the best for the sample rate for all others."""
+    """Return all gains of the tracking method by name: a gain that is not given as an option is the best for the sample rate."""
     from ..servo.stability import best_gains
 
     h = 1.0 / above_zero(asked.rate, "--rate")
@@ -97,9 +97,10 @@ def judged(check: Any) -> str:
 
 
 def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], most: int = 3000) -> Any:
-    """Return the GainCheck of a tracking run, completed by the growth of errors along the path where that can be computed.
+    """Return the check of a tracking run's gains (GainCheck), with how errors grow along the path added to it.
 
-    The check is unchanged for a path of more than `most` samples, which would take longer than the run.
+    The check is returned unchanged if that cannot be computed, or if the path has more than `most` samples, because it would take
+    longer than the run itself.
     """
     from ..motion.reference import Reference
     from ..robot.robot import Robot
@@ -110,5 +111,5 @@ def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], mos
     try:
         gains = {name: options[name] for name in GAINS[check.method] if name in options}
         return check_gains(check.method, check.h, robot=arm, path=path, **gains)
-    except InvalidTarget:  # the report of the run says where the path cannot be followed
+    except InvalidTarget:  # The path cannot be followed, and the report of the run says where.
         return check

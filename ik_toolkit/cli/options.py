@@ -11,7 +11,7 @@ from .command import TIP, argument, can_show, flag, in_radians, option, options
 from .completion import links_like, robots_like, tips_like
 from .output import notice, turns
 
-OBSTACLES = {  # by kind of obstacle, its numbers, and how many of them are sizes
+OBSTACLES = {  # For each kind of obstacle, the numbers that describe it, and how many of these are sizes.
     "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
     "sphere": ("x,y,z,radius", 1),
     "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
@@ -158,11 +158,11 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Return the tips to load: one name, or None for the default tip, makes a Robot; a list makes a Tree.
+        """Return the tip or tips with which the robot is loaded: one name, or None for the default tip, or a list for a Tree.
 
-        The tips are those of --tip. Without it they are all listed for the robot, or, if the targets name any other, those of the
-        targets. With --group, `load` takes the tips of the group: then None (no targets) makes a Robot if there is one tip, and []
-        always makes a Tree.
+        They are those of --tip, or else all known tips of the robot, or, if the targets name any other, those of the targets. With
+        --group `load` takes the tips of the group. The answer then only says whether a single tip makes a Robot (None) or a Tree
+        ([]).
 
         given: targets by tip, None without --target. relative: {TIP: OTHER} of --relative. one: whether a target without a tip is
         given. Raises InvalidOption.
@@ -212,7 +212,7 @@ class OneTip(WholeRobot):
 def slides(robot: Any, joint: str) -> bool:
     """Return whether a joint of the robot's model is prismatic; it may be off the path to the tip, or mimic another joint."""
     model = robot.model
-    # the first three rows of a joint's motion subspace are its translation
+    # A prismatic joint has a linear velocity: the first three rows of its motion subspace S in Pinocchio are not all 0.
     return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
 
 
@@ -251,11 +251,14 @@ def solver_named(text: str) -> Any:
 
 
 def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict[str, str]:
-    """Return the NAME=VALUE texts of an option as a dict. Raises InvalidOption for a text without name, `mark` or value."""
+    """Return the texts NAME=VALUE of an option as a dict; `mark` is what stands between them, = or :=.
+
+    Raises InvalidOption for a text without name, mark or value.
+    """
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)
-        # the value of a xacro argument (:=), such as a prefix, is often empty
+        # The value of a xacro argument (NAME:=VALUE), such as a prefix, may be empty.
         if not (key and equals and (value or mark == ":=")):
             raise InvalidOption(f"{name} takes NAME{mark}VALUE, not '{pair}'")
         split[key.strip()] = value.strip()
@@ -345,9 +348,9 @@ class CollisionOptions:
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
 
     def read(self, arm: Any, deg: bool) -> dict[str, Any]:
-        """Return the argument avoid_collisions of a solver as a dict: True, or a CollisionModel with the obstacles; {} without.
+        """Return the keyword argument `avoid_collisions` for a solver as a dict, which is empty if none was asked for.
 
-        deg: whether angles of obstacles are typed in degrees.
+        Its value is True or, if obstacles were given, a CollisionModel with them. deg: whether their angles are in degrees.
         """
         if not self.obstacle and self.margin is None:
             return {"avoid_collisions": True} if self.avoid_collisions else {}

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-WRAPPED = 12  # least width [characters] of a table column that wraps
+WRAPPED = 12  # A table column whose text wraps is at least this wide [characters].
 
 
 def notice(text: str) -> None:
     """Print one line on stderr; nothing happens if stderr cannot be written."""
     try:
         print(clean(in_shell(text)), file=sys.stderr, flush=True)
-    # stderr may be closed (Python sets it to None), its reader may be gone, or the disk may be full
+    # A notice is not worth an error where stderr is closed (Python sets it to None), its reader is gone, or the disk is full.
     except (OSError, ValueError, AttributeError):
         pass
 
@@ -125,7 +125,8 @@ def show(*things: Any) -> None:
         if _least(thing) > room:
             for column in thing.columns:
                 column.no_wrap = column.no_wrap and column.justify == "right"
-        console.width = max(room, _least(thing))  # in a narrow terminal a long line is better than truncated numbers
+        # If the terminal is too narrow, lines that are too long for it are better than cut-off numbers.
+        console.width = max(room, _least(thing))
         drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
         console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")
 
@@ -198,7 +199,7 @@ def turns(kind: str) -> bool:
 
 
 def number(value: float, kind: str, deg: bool) -> str:
-    """Return a joint value [rad or m] as text, in degrees if it is an angle and `deg` is set; 'none' if it is infinite."""
+    """Return a joint value or limit [rad or m] as text, an angle in degrees if `deg` is set; an infinite limit is 'none'."""
     if not math.isfinite(value):
         return "none"
     degrees = deg and turns(kind)

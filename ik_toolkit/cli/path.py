@@ -17,8 +17,9 @@ from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
 
-TURN = math.radians(1.0)  # [rad] how far the orientation may leave the chords if --path-tolerance-mm is given
-LISTED = 5  # number of unreached poses listed on the terminal; the file lists all
+# Between two poses the tip may turn away from the straight motion by this angle [rad] if --path-tolerance-mm is given.
+TURN = math.radians(1.0)
+LISTED = 5  # Number of unreached poses that are listed on the terminal; the output file lists all.
 
 
 @options()
@@ -69,7 +70,10 @@ class PathOptions:
     plot: Path | None = option("FILE", "Draw the joints to a .png, .pdf or .svg file.", writes=PLOTS)
 
     def check(self) -> None:
-        """Raise InvalidOption for --retime without --acceleration or a fit file format, and for steps or tolerances not above 0."""
+        """Raise InvalidOption for options that do not fit together, and for steps or tolerances that are not above 0.
+
+        --retime needs --acceleration, and a file format that can hold times.
+        """
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None:

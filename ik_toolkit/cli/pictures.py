@@ -11,9 +11,11 @@ from .streams import handling
 
 
 def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Draw a result with history (or a list of solutions, without `plot`) to the chart `plot`, the page `html` and the browser.
+    """Draw a result of a solve: its errors over the iterations as a chart, the robot in 3-D as a page, or in the browser.
 
-    target: as for `view`. around: the solve's avoid_collisions, whose obstacles are drawn. live: whether to open the browser.
+    what: a result with history, or a list of solutions if there is no `plot`. target: as for `view`. around: the solve's
+    avoid_collisions, whose obstacles are drawn. plot, html: files of the chart and the page, or None. live: whether to open the
+    browser.
     """
     if plot is not None and len(what.history["q"]) < 2:
         notice("no plot: the solve took no step")
@@ -36,7 +38,10 @@ def chart(file: Path | None, what: Any, arm: Any = None) -> None:
 
 
 def show_scene(arm: Any, what: Any, html: Path | None, live: bool = False, **more: Any) -> None:
-    """Write a result in 3-D to the page `html`, unless that is None; if `live`, open the browser; more: arguments of `view`."""
+    """Show a result in 3-D: write the page `html`, unless that is None, and open the browser if `live`.
+
+    more: further arguments of `view`.
+    """
     if html is not None or live:
         from ..show.scene import view
 
@@ -59,7 +64,7 @@ def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bo
 
 
 def incomplete(scene: Any) -> None:
-    """Print a notice about parts of the robot that could not be drawn, and about how to make their meshes found."""
+    """Print a notice if parts of the robot could not be drawn, with advice on missing meshes."""
     if scene.body.notice:
         meshes = "; --package-dir names a folder to search for them" if "mesh" in scene.body.notice else ""
         notice(f"{scene.body.notice}{meshes}")

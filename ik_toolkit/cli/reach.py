@@ -63,7 +63,7 @@ def reach(
     from ..study.reachability import MapNotSaved, reachability
     from ..study.reachability_grid import grid_of
     from ..study.reachability_map import ANSWERS
-    from .batch import cluster_of  # imported here, because that module loads the solvers
+    from .batch import cluster_of  # Imported here, so that `ik --help` does not load the solvers.
 
     region = _region(asked, file, arm, robot.deg)
     turns = _word_or_count(asked.orientations, "any", "--orientations", "tool axes")

@@ -48,14 +48,15 @@ def reproduce(asked: ReproduceOptions) -> None:
     folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
-    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is refused before the work starts
+    # The folder is made before the work, so that one that cannot be made is refused at once.
+    folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
     from ..papers.report import ReportInterrupted
 
     try:
-        with progress("computing", None):  # None, because the progress of a report is unknown
+        with progress("computing", None):  # There is no total (None), because a report does not tell its progress.
             report = pkgutil.resolve_name(PAPERS[paper].target)()
     except ReportInterrupted as stop:
         with uninterrupted():

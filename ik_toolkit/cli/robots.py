@@ -206,7 +206,7 @@ def _srdf_dict(robot: Any) -> dict[str, Any] | None:
         return None
     groups = {}
     for name in said.groups:
-        with contextlib.suppress(InvalidOption):  # a group may name links that this robot does not have
+        with contextlib.suppress(InvalidOption):  # A group of links that this robot does not have is left out.
             groups[name] = dict(zip(("base", "tips"), said.ends(name, robot.model), strict=True))
     return {
         "path": said.path,

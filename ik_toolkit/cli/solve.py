@@ -30,8 +30,8 @@ from .output import fixed, notice, number, show, table, unit, write_json, write_
 from .pictures import draw
 from .target import POSED, CountOptions, TargetOptions, at_home, in_base, relations, request
 
-ABREAST = 4  # number of solutions for several tips that fit side by side into 80 columns
-ACROSS = 6  # number of joints whose values fit side by side into 80 columns
+ABREAST = 4  # This many solutions, a column each, fit side by side into a terminal with 80 columns.
+ACROSS = 6  # The values of this many joints fit side by side into a terminal with 80 columns.
 
 
 @options("Solver")
@@ -119,10 +119,14 @@ class WishOptions:
     )
 
     def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
-        """Return the options by name, including q0, as `solve` takes them, or `solve_batch` if `many`. Raises InvalidOption."""
+        """Return the options as keyword arguments of `ik.solve`, or if `many` of `ik.solve_batch`. Raises InvalidOption.
+
+        deg: whether angles were typed in degrees.
+        """
         read: dict[str, Any] = {} if self.objective is None else {"objective": self.objective}
         if self.follow is not None:
-            read["follow"] = in_radians(above_zero(self.follow, "--follow"), deg)  # The library takes 0 for no bound.
+            # --follow 0 is refused here, because the library takes 0 for no bound on the move.
+            read["follow"] = in_radians(above_zero(self.follow, "--follow"), deg)
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
             read["joint_weights"] = tuple(vector(self.joint_weights, "--joint-weights", arm.n))
@@ -253,7 +257,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # A first solve that starts at its solution compiles or loads the code, so that the time displayed is that of solving.
+        # A first solve, of the pose at home, compiles or loads the code, so that the displayed time is that of solving only.
         solve_one(arm, at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -334,7 +338,7 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..solvers.message import unweighted
 
     robot = result.robot
-    # errors are shown in m and rad, without the weights of --mask, as in the message
+    # The errors are shown in m and rad without the weights of --mask, so that they agree with the message.
     left = dict(zip(robot.tips, unweighted(result)[0], strict=True))
     where = dict.fromkeys(result.limited_joints, "at limit") | dict.fromkeys(robot.outside(result.q), "outside")
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")

@@ -17,8 +17,8 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import JSON_BYTES
 
-RAISED_AGAIN = 0.05  # [s] after which a dropped Ctrl-C is raised again
-IMPORTING = 20.0  # [s] longest time for which Ctrl-C waits for the end of an import
+RAISED_AGAIN = 0.05  # Time [s] after which Ctrl-C is raised again if Python has dropped its exception.
+IMPORTING = 20.0  # Ctrl-C waits for the end of an import for at most this time [s].
 
 
 def open_standard_streams() -> None:
@@ -40,9 +40,9 @@ def open_standard_streams() -> None:
 def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
     """Context manager: yield the arguments with `-` replaced by a temporary file that holds all of standard input.
 
-    The file is named after the robot in it, with a suffix by its contents: .urdf, .npz, .toml, .json or .csv. It is a file because
-    a command may run twice (without compilation first), and counts the rows of its targets. Of XML, TOML and JSON only as much is
-    kept as their readers take, plus a byte, which they refuse. Raises InvalidOption, also if it is neither text nor NPZ.
+    The file is named after the robot in it, with a suffix by its contents: .urdf, .npz, .toml, .json or .csv. A file is needed,
+    because commands may read their input twice. XML, TOML and JSON are cut one byte after the largest size that is accepted, so
+    that they are refused. Raises InvalidOption, also if the input is neither text nor NPZ.
     """
     places = [k for k, word in enumerate(arguments) if re.fullmatch(r"(--[a-z-]+=)?-", word)]
     if not places:
@@ -68,7 +68,7 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
         file = Path(folder) / ((named[1].decode() if named else "stdin") + kind)
         with file.open("wb") as written:
             written.write(head)
-            if kind in (".csv", ".npz"):  # the files of many targets, of any size
+            if kind in (".csv", ".npz"):  # Files of these kinds hold many targets, so their size has no limit.
                 shutil.copyfileobj(source, written)
             else:
                 written.write(source.read(JSON_BYTES + 1 - len(head)))
@@ -79,7 +79,7 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
 
 @contextmanager
 def handling(numbers: Iterable[int], handler: Callable[..., Any]) -> Iterator[dict[int, Any]]:
-    """Context manager: `handler` handles these signals in the block; yields the earlier handlers by number, and restores them."""
+    """Context manager in which `handler` handles these signals; it yields the earlier handlers by number, and restores them."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield before
@@ -90,10 +90,10 @@ def handling(numbers: Iterable[int], handler: Callable[..., Any]) -> Iterator[di
 
 @contextmanager
 def stoppable(came: list[int]) -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, by KeyboardInterrupt, and append the signal received to `came`.
+    """Context manager in which Ctrl-C and SIGTERM raise KeyboardInterrupt; the number of the signal is appended to `came`.
 
-    If the exception is dropped, as in Python code called from C (numba's compiler, finalizers), it is raised again soon after. It
-    is not raised during an import, because a library that tries to import another one takes any exception as "not installed".
+    If Python drops the exception, as in code called from C (numba's compiler, finalizers), it is raised again soon after. It is not
+    raised during an import, because a library that tries to import another one takes any exception as "not installed".
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -101,11 +101,11 @@ def stoppable(came: list[int]) -> Iterator[None]:
     process, show_dropped, waiting = os.getpid(), sys.unraisablehook, list[float]()
 
     def again(number: int) -> None:
-        main = threading.main_thread().ident  # the main thread may be blocked, so the signal goes to it
+        main = threading.main_thread().ident  # The signal is sent to the main thread, which may be blocked, to wake it.
         threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, number]).start()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if os.getpid() != process:  # the signal has arrived in a forked worker
+        if os.getpid() != process:  # This is a forked worker process, which ends at once.
             os._exit(128 + number)
         if _importing(frame):
             waiting.append(time.monotonic())
@@ -121,7 +121,7 @@ def stoppable(came: list[int]) -> Iterator[None]:
         else:
             show_dropped(what)
 
-    # If the shell has set Ctrl-C to be ignored, as for commands in the background, it stays ignored.
+    # A shell may have set Ctrl-C to be ignored, as it does for commands in the background, and then it stays ignored.
     heard = [signal.SIGTERM]
     heard += [signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []
     with handling(heard, stop):
@@ -143,7 +143,7 @@ def _importing(frame: FrameType | None) -> bool:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay Ctrl-C and SIGTERM until the end of the block, so that files are written completely."""
+    """Context manager that delays Ctrl-C and SIGTERM until the end of its block, so that files are written completely."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

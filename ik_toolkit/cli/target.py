@@ -11,9 +11,9 @@ from .options import joint_vector
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
-# options that describe a single target; the last two may also turn those of --target
+# The options that describe a single target. The last two may also be given beside --target, for the directions of its targets.
 POSED = ("--xyz", "--rpy", "--quat-xyzw", "--quat-wxyz", "--direction", "--tip-axis")
-MATRIX = (12, 16)  # how many numbers a pose's matrix has: (3, 4) or (4, 4)
+MATRIX = (12, 16)  # A pose may be given as a matrix (3, 4) or (4, 4), which has this many numbers.
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -54,7 +54,7 @@ class TargetOptions:
 
     @property
     def posed(self) -> bool:
-        """Whether --xyz, --matrix or an orientation is given, the options that describe a single target."""
+        """Whether a single target is described by an option: --xyz, --matrix or one for the orientation."""
         given = (self.xyz, self.matrix, self.rpy, self.quat_xyzw, self.quat_wxyz)
         return any(one is not None for one in given)
 
@@ -160,7 +160,10 @@ class CountOptions:
 
 
 def priorities(text: str | None) -> list[Any] | None:
-    """Return the text of --priority as a solver's argument `priority`: levels, each a list of GROUP or (TIP, GROUP)."""
+    """Return the argument `priority` of a solver for the text of --priority: levels, most important first.
+
+    A level is a list of GROUP or (TIP, GROUP), such as "position" or ("left_tip", "orientation"); None if text is None.
+    """
 
     def one(word: str) -> Any:
         tip, _, group = word.strip().rpartition(":")
@@ -221,7 +224,7 @@ def _pose_of(x: Sequence[float]) -> Any:
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
-    """Return a target, or a dict by tip, as pose or position in the base frame.
+    """Return a target as a pose (4, 4) or position (3,) in the base frame; for several tips a dict of these by tip.
 
     poses: where the tips are (pin.SE3 by tip), for targets relative to another tip; relative: {TIP: OTHER} of these.
     """
@@ -243,12 +246,15 @@ def at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # an unknown tip in this option is refused later by the solver
+    relative = options.get("relative_to") or {}  # If this names an unknown tip, the solver refuses it later.
     return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
 
 
 def request(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """Return what was asked for the JSON output: base, tip and target; for several tips base, targets and `relative_to`."""
+    """Return what the user asked for, as part of the JSON output: base, tip and target.
+
+    For several tips it is the base, the targets by tip and, if given, the option `relative_to`.
+    """
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}

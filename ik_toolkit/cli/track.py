@@ -41,7 +41,7 @@ class TrackCollisions(CollisionOptions):
 class TrackTolerances(ToleranceOptions):
     """Options for the tolerances within which a run counts as followed."""
 
-    tolerance: None = None  # A run has no option for one value of both.
+    tolerance: None = None  # `ik track` has no --tolerance, which sets both tolerances at once in other commands.
     position_tolerance: float = option("M", "Position tolerance of a followed run [m].", default=1e-3)
     orientation_tolerance: float | None = option(
         "RAD", "Orientation tolerance of a followed run [rad; degrees with --deg]; default: 0.1 degrees."
@@ -97,7 +97,7 @@ def track(
         if result.reach is not None:
             with progress("trying changes", None):
                 tried = advice(arm, asked, path, q, result.reach, run, robot.deg, limits=asked.limits, **what)
-    except KeyboardInterrupt as stop:  # Ctrl-C came after the run, whose results are still printed
+    except KeyboardInterrupt as stop:  # The run itself is complete, so its results are printed after Ctrl-C too.
         stopped = stop
     more = {"path_chosen": path.words} if path.words else {"works": tried} if result.reach is not None else {}
     tips = {"tips": [*arm.tips]} if arm.named_tips else {"tip": arm.tip}

@@ -11,8 +11,9 @@ from .command import PLOTS, flag, option, options
 from .output import number
 
 SHAPES = ("circle", "line", "eight")
-RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, m, s] of a path whose options are left out
-PLACE = {  # by kind of path, the options for its place and size; a path from a file has none
+# Default radius [m] of a circle or eight, length [m] of a line, and duration [s] of a path.
+RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0
+PLACE = {  # For each kind of path, the options for its place and size; a path from a file has none.
     "circle": ("radius", "axis", "start"),
     "eight": ("radius", "axis", "start"),
     "line": ("length", "axis", "start", "end"),
@@ -20,7 +21,8 @@ PLACE = {  # by kind of path, the options for its place and size; a path from a 
 }
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
-PLACED = (*DRAWN[:5], "law", "turns")  # any of these options asks for a path to be drawn; the duration alone does not
+# Any of these options asks for a circle if no kind of path is given. The duration alone does not.
+PLACED = (*DRAWN[:5], "law", "turns")
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -58,7 +60,7 @@ class PathOptions:
 
     @property
     def shape(self) -> str | None:
-        """The kind of path, or file, asked for; 'circle' if only its place or size is given; None without any of these options."""
+        """The kind of path or the file that was asked for; 'circle' if only options of its shape were given, else None."""
         return self.path or ("circle" if any(getattr(self, name) is not None for name in PLACED) else None)
 
     @property
@@ -73,7 +75,7 @@ class PathOptions:
         return {name: gain for name, gain in vars(self).items() if name in ("kappa", "kp", "kd") and gain is not None}
 
     def rest(self) -> dict[str, Any]:
-        """Return duration [s], speed law and number of turns as keyword arguments for a drawn path."""
+        """Return keyword arguments for the functions that make a circle, line or eight: duration [s], speed law, turns."""
         duration = DURATION if self.duration is None else self.duration
         return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
 
@@ -133,7 +135,11 @@ class TrackOptions(PathOptions):
 
 
 class Asked(NamedTuple):
-    """A path to follow: its reference, the initial joint values (None: solved for), and a sentence on how it was chosen."""
+    """A path that `ik track` follows.
+
+    `reference` is the path as a function of time, `q0` (n,) [rad or m] the initial joint values (None: solved for), and `words` a
+    sentence on how the path was chosen, or ''.
+    """
 
     reference: Any
     q0: Any
@@ -141,7 +147,7 @@ class Asked(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """Text that describes the reference; with several tips one after another."""
+        """Text that describes the path for the output: its name and duration, for several tips one after another."""
         if isinstance(self.reference, Mapping):
             return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
         return _line(self.reference)
@@ -213,7 +219,7 @@ def _from_to(T: Any, asked: PathOptions) -> Any:
 def advice(
     arm: Any, asked: TrackOptions, path: Asked, q: Any, found: Any, run: Callable[..., Any], deg: bool, **options: Any
 ) -> list[str]:
-    """Return changes of the options with which the robot can follow the path; each was found by trying it.
+    """Return advice for a path that the robot cannot follow: options of `ik track` to change, each of which was tried and works.
 
     run(Asked, quiet): a function that tracks a path with the other options of the command.
     """
@@ -230,7 +236,7 @@ def advice(
         slower = float(f"{1.1 * share * seconds:.2g}")
         fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
-    one: dict[str, str] = {}  # by option, the first change that works: the largest size, or an axis
+    one: dict[str, str] = {}  # For each option, the first change that works: for a size the largest, or an axis.
     for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:

@@ -9,20 +9,21 @@ import typer.core
 
 from ..text import in_shell
 
-# Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
+# The base class of click's usage errors. It is found through typer, because some versions of typer contain their own copy of click.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
-# option names that differ from the names of the library's arguments
+# Arguments of the library whose options of `ik` have other names.
 PYTHON_NAMES = {
     "acceleration_limits": "acceleration", "relative_to": "relative", "count": "suggest", "package_dirs": "package_dir",
     "xacro_args": "xacro_arg", "base_limits": "rail",
 }  # fmt: skip
-# Matches the name of an argument that is the subject of a sentence.
+# A regular expression for a library argument that is the subject of an error message, to replace it by the name of the option.
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| \(| must | is | has | of '| ')")
-# Matches limits=False, tip= or base='world', but nothing in quotes, because that is what a user has typed.
+# A regular expression for arguments with a value in an error message, such as limits=False, tip= or base='world'. Nothing in
+# quotes matches, because that is what a user has typed.
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)']|$)")
-WIDEST = 100  # [columns] longer lines are hard to read
-COLUMN = 30  # column at which the explanations begin
-LAST = ("Robot", "Output", "Other")  # these groups of options come last in the help
+WIDEST = 100  # The help is at most this wide [characters], because longer lines are hard to read.
+COLUMN = 30  # In the help the explanations of options begin at this column.
+LAST = ("Robot", "Output", "Other")  # These groups of options come last in the help.
 
 
 def help_text(command: Any, ctx: Any) -> str:
@@ -93,9 +94,8 @@ def in_flags(text: str, command: Any) -> str:
     Many names are ordinary words, too; only the subject of a sentence, or a name before "=", is taken for an option.
     """
     options = {one.name.rstrip("_"): one for one in command.params if one.param_type_name == "option"}
-    options = {
-        name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts
-    }  # this leaves out `targets`, whose option is called --target
+    # Options whose parameter has another name, such as `targets` for --target, are left out.
+    options = {name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts}
     options |= {name: options[own] for name, own in PYTHON_NAMES.items() if own in options}
 
     def flag(found: re.Match[str]) -> str:

@@ -13,7 +13,8 @@ from .output import notice
 from .pictures import incomplete, present, wait, written
 from .target import TargetOptions, in_base, relations
 
-SOLVED = ("--xyz", "--matrix", "--target")  # options for a target to solve for
+# With one of these options `ik view` solves for a target and shows the result.
+SOLVED = ("--xyz", "--matrix", "--target")
 
 
 @options()

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 
 class Paper(NamedTuple):
-    """A paper whose numbers `ik reproduce` computes again."""
+    """A scientific paper whose published numbers the command `ik reproduce` computes again, as a report."""
 
-    target: str  # "module:function" that returns a `report.Report`
-    summary: str  # one line on the paper, for the list of papers
-    needs: tuple[str, str] | None = None  # a package that the report needs, and the extra that installs it
+    target: str  # The function that makes the report, as "module:function".
+    summary: str  # One line on what the paper is about, for the list of papers.
+    needs: tuple[str, str] | None = None  # A package that the report needs, and the extra that installs it.
 
 
 PAPERS: dict[str, Paper] = {

@@ -18,15 +18,17 @@ from ..robot.library import shipped_robots
 from ..style import PRINTED
 from ..text import plain
 
-Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves in one call
+Work = tuple[Callable[[], Any], int]  # A function to time, and how many solves one call of it does.
 
 
 class ReportInterrupted(Interrupted):
-    """Ctrl-C while a report is made; `result` is the Report with the parts that were finished before it."""
+    """Raised on Ctrl-C while a report is made; `result` is the Report with the parts that were finished before."""
 
 
 class Report:
-    """The parts of a report in reading order. Ctrl-C in a `with` block of a report raises ReportInterrupted.
+    """A report on a paper: headings, paragraphs, tables and figures, added in reading order and written by `write`.
+
+    Ctrl-C in a `with` block of a report raises ReportInterrupted.
 
     Attributes:
         name: Short name of the paper, which can be part of a file name.
@@ -77,7 +79,7 @@ class Report:
         self.table(key, [*rows[0]], [[*row.values()] for row in rows])
 
     def number(self, key: str, value: Any) -> Any:
-        """Store a number under a key of `data` and return it."""
+        """Store a number (or a structure of numbers) for report.json, under a key of `data`, and return it."""
         self.data[key] = value
         return value
 
@@ -139,7 +141,8 @@ class Report:
 
 
 ROUNDING = 1e-11  # A computed error below this, whatever its unit (m, mm, rad or deg), is rounding.
-WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 pixels high on a page 740 pixels wide
+# Largest width of a figure [inches]. On a page 740 pixels wide its text of 9 points is then still 12 pixels high.
+WIDEST = 8.0
 
 
 def cell(value: Any, least: float = 0.0) -> str:
@@ -157,7 +160,7 @@ def shipped_table(name: str) -> DHTable:
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Time several functions, each once a round, so that changes in the machine's speed affect all alike.
+    """Measure the times of several functions in turn, so that changes in the machine's speed affect all alike.
 
     Processor time is measured, because other processes on the same core should not count.
 

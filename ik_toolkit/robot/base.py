@@ -19,14 +19,16 @@ from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 # The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)
-BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
+# A ball joint is replaced by yaw, pitch and roll. Limiting the pitch to +- this angle [rad] still allows every rotation.
+BALL_PITCH = math.pi / 2
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
 }  # fmt: skip
 SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
 BASES = {"rail": ("x",), "planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
-PARTS = {  # by type of Pinocchio joint with several degrees of freedom: the single coordinates that replace it
+# For each Pinocchio joint type with several degrees of freedom, the joints with one degree of freedom that replace it.
+PARTS = {
     "JointModelFreeFlyer": BASES["floating"],
     "JointModelPlanar": BASES["planar"],
     "JointModelTranslation": SLIDES,
@@ -46,13 +48,16 @@ class UnfoldedJoint(NamedTuple):
 
 
 class GivenModel(NamedTuple):
-    """The Pinocchio model as the user gave it, and those of its joints that have several degrees of freedom."""
+    """The Pinocchio model that the user gave, if it has joints with several degrees of freedom (`blocks`).
+
+    The robot computes with another model, in which these joints are replaced; the methods convert configurations.
+    """
 
     model: pin.Model
     blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
-        """Convert a configuration (nq,) of `model`, whose joints have one degree of freedom each, to one of the given model."""
+        """Return the configuration (nq,) of the user's model for one of `model`, whose joints have one degree of freedom each."""
         q = pin.neutral(self.model)
         for own, other, size in self._same(model):
             q[own : own + size] = full[other : other + size]
@@ -62,7 +67,7 @@ class GivenModel(NamedTuple):
         return q
 
     def back(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
-        """Convert a configuration (nq,) of the given model to one of `model`, whose joints have one degree of freedom each."""
+        """Return the configuration (nq,) of `model`, whose joints have one degree of freedom each, for one of the user's model."""
         full = pin.neutral(model)
         for own, other, size in self._same(model):
             full[other : other + size] = q[own : own + size]
@@ -83,13 +88,13 @@ class GivenModel(NamedTuple):
 
 
 def joint_value(joint: Any, full: np.ndarray) -> float:
-    """Return the value [rad or m] of a Pinocchio joint with one degree of freedom in a configuration `full` (nq,)."""
+    """Return the value [rad or m] of a joint with one degree of freedom in the Pinocchio configuration `full` (nq,)."""
     x = full[joint.idx_q : joint.idx_q + joint.nq]
     return float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
 
 
 def put_joint(joint: Any, full: np.ndarray, value: float) -> None:
-    """Write the value [rad or m] of a Pinocchio joint with one degree of freedom into a configuration `full` (nq,), in place."""
+    """Write the value [rad or m] of a joint with one degree of freedom into the Pinocchio configuration `full` (nq,)."""
     x = (value,) if joint.nq == 1 else (math.cos(value), math.sin(value))
     full[joint.idx_q : joint.idx_q + joint.nq] = x
 
@@ -134,13 +139,13 @@ def _several(model: pin.Model) -> list[int]:
 
 
 def root_joint(model: pin.Model) -> int:
-    """Return the id of the free-flyer or planar joint that carries the whole model, or 0 if there is none."""
+    """Return the id of the free-flyer or planar joint at the root that moves the whole model, or 0 if there is none."""
     first = [j for j in range(1, model.njoints) if model.parents[j] == 0]
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
 def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
-    """Return the names of the floating or planar joint nearest above a tip and of the link that it moves, or None."""
+    """Return the names of the last floating or planar joint on the way from root to tip and of its link, or None."""
     joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
     above = model.supports[joint]
     roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
@@ -223,9 +228,10 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
 
 
 def stand(model: pin.Model, on_base: Any) -> pin.Model:
-    """Return a copy of a model on a base: 'rail', 'planar', 'floating' (joints before the root), or the pose (4, 4) of its root.
+    """Return a copy of a Pinocchio model that is mounted on a moving base, or whose root is at another pose.
 
-    Raises InvalidOption, InvalidTarget.
+    on_base: 'rail', 'planar' or 'floating', for which joints are added before the root, or the pose (4, 4) of the root. Raises
+    InvalidOption, InvalidTarget.
     """
     made, last, T = pin.Model(), 0, pin.SE3.Identity()
     if isinstance(on_base, str):
@@ -261,9 +267,9 @@ class BasedModel(NamedTuple):
 
 
 def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> BasedModel:
-    """Return a model with joints of one degree of freedom, put on the base `on_base` with the limits `base_limits` of `Robot.load`.
+    """Return the model that a robot computes with: the given one on its base, with one degree of freedom in every joint.
 
-    Raises InvalidOption, InvalidTarget, ModelError.
+    `on_base` and `base_limits` are the options of `Robot.load`. Raises InvalidOption, InvalidTarget, ModelError.
     """
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
@@ -283,9 +289,9 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Attach the shapes of `geometry`, in place, to the links of `model` that have the names of their links in `original`."""
+    """Move the shapes of `geometry`, in place, from the links of model `original` to the links of the same names in `model`."""
     for shape in geometry.geometryObjects:
-        # A shape that has only a parent joint and no parent frame is placed like that joint.
+        # A shape without a valid parent frame is placed relative to a frame of its parent joint.
         of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)
         old = original.frames[shape.parentFrame if shape.parentFrame < original.nframes else next(of_joint)]
         k = model.getFrameId(old.name, old.type)

@@ -43,7 +43,10 @@ class Named(dict[str, np.ndarray]):
 
 
 def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the option `locked`, a dict from joint names to values, as a new dict (None: empty); else InvalidConfiguration."""
+    """Return a copy of the option `locked`, a dict from joint names to values; empty for None.
+
+    Raises InvalidConfiguration if it is no dict.
+    """
     if not isinstance(locked, Mapping | None):
         raise InvalidConfiguration(f"locked takes a dict from joint names to values [rad or m], not {locked!r:.60}")
     return dict(locked or {})
@@ -97,7 +100,10 @@ def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
 
 
 def near_joint(joint: Any, model: pin.Model, names: Iterable[str]) -> str:
-    """Return the last words of an error about a joint not in `names`: which joint it mimics, or a name in `names` like it."""
+    """Return advice on a joint that is not in `names`, for the end of an error message.
+
+    It says which joint this one mimics, or else which name in `names` is like the unknown one.
+    """
     leader = next((tie.leader for follower, tie in leaders_of(model) if follower == joint), None)
     return near_match(joint, names) if leader is None else f" It follows '{leader}': give that joint instead."
 
@@ -113,7 +119,7 @@ def follower_limits(robot: Any) -> dict[str, tuple[float, float]]:
 
 
 def followers_at_limits(robot: Any, q: np.ndarray) -> dict[str, list[str]]:
-    """Return, by leader, the mimic joints that are within 1e-9 [rad or m] of a limit of their own at a valid q (n,)."""
+    """Return by leader the names of the mimic joints that are within 1e-9 [rad or m] of a limit of their own at q (n,)."""
     limits, found = follower_limits(robot), {}
     at = joint_values(robot, q) if limits else {}
     for joint, (low, high) in limits.items():
@@ -130,7 +136,10 @@ def simple_joints(model: pin.Model) -> Iterator[tuple[str, Any]]:
 
 
 def joint_values(robot: Any, q: np.ndarray) -> dict[str, float]:
-    """Return the values [rad or m] of all joints of a robot at a valid q (n,), by name, with mimic joints and resting joints."""
+    """Return the values [rad or m] of all joints of a robot by name at q (n,), which is not checked.
+
+    Mimic joints are included, and so are joints off the path to the tip, which rest at fixed values.
+    """
     at = dict(zip(robot.joint_names, q.tolist(), strict=True))
     for name, joint in simple_joints(robot.model):
         if name not in at:
@@ -155,7 +164,7 @@ def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.nda
         rest = floats(rest, "rest must be numbers", InvalidConfiguration)
         if rest.shape != (model.nq,):
             raise InvalidConfiguration(f"rest must have {model.nq} values for this model, not shape {rest.shape}")
-    # If the robot moves no joint with several coordinates, none is converted, so that they keep the exact values of `rest`.
+    # If the robot moves no joint with several coordinates, `rest` is not converted, so such joints keep its exact values.
     if given is None or not any(name in robot.joint_names for block in given.blocks for name in block.names):
         made, given = model, None
     full = pin.neutral(made) if rest is None else rest.copy() if given is None else given.back(made, rest)

@@ -17,7 +17,7 @@ from .base import joint_value, put_joint
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits, mimics
 
-# To close a loop by joints off the path to the tip: steps of Levenberg-Marquardt from each start, and number of starts.
+# A loop is closed by moving joints off the path to the tip: at most STEPS Levenberg-Marquardt steps from each of TRIES starts.
 STEPS, TRIES = 40, 5
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
 SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
@@ -90,7 +90,10 @@ class ConstraintCheck(NamedTuple):
 
 
 def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-    """Check the loops and relations of a robot at q (n,), with the tolerances `position` [m] and `orientation` [rad]."""
+    """Check the loops of a robot and the relations between its joints at q (n,); return a ConstraintCheck.
+
+    The tolerances are `position` [m] and `orientation` [rad].
+    """
     if not robot.constraints:
         return ConstraintCheck(True, "")
     closure = robot.memo.get("closure")
@@ -113,7 +116,10 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
 
 
 class CoupledConstraints(NamedTuple):
-    """Constraints that share m joints off the path to the tip, with the ids of these joints and their limits (m,) [rad or m]."""
+    """Constraints that must be satisfied together, because they depend on the same m joints off the path to the tip.
+
+    `joints` has the ids of these joints, `lower` and `upper` their limits (m,) [rad or m].
+    """
 
     constraints: list[Constraint]
     joints: list[int]
@@ -122,7 +128,7 @@ class CoupledConstraints(NamedTuple):
 
 
 class Closure:
-    """Evaluates the constraints of a robot that depend on q, and finds the joints off the path to the tip that may satisfy them."""
+    """Checks the constraints of a robot, such as loops, at a q, after moving joints off the path to the tip to satisfy them."""
 
     def __init__(self, robot: Any) -> None:
         """Find the joints of a Robot or Tree on which each of its constraints depends."""
@@ -177,7 +183,11 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> ConstraintCheck:
-        """Check the constraints at `full` (nq,), after moving joints off the path to the tip, in place, to satisfy them."""
+        """Move joints off the path to the tip so that the constraints hold, then check the constraints.
+
+        full: Pinocchio configuration (nq,), in which these joints are changed in place. position [m] and orientation [rad] are
+        the tolerances.
+        """
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -202,7 +212,7 @@ class Closure:
         return " and ".join(parts)
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residual (k,) [m, rad] of a constraint at `full` (nq,), and its derivative (k, nv) by the joint velocities."""
+        """Return the residual (k,) [m, rad] of a constraint at a Pinocchio configuration `full` (nq,), and its Jacobian (k, nv)."""
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         return self._residual(constraint, full)
 

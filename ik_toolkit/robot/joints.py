@@ -31,7 +31,7 @@ from .probe import JointPath
 from .ros import is_by_name
 
 LOG = logging.getLogger("ik_toolkit")
-# the rows of the Jacobian of a tip that the option rows= names
+# For each word that the argument `rows` of a method takes, the rows of a tip's (6, n) Jacobian.
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
 
 
@@ -104,7 +104,7 @@ class Joints(ReadOnly):
     _path: JointPath
     _given: GivenModel | None
     _original: pin.Model | None
-    _wide: Any = None  # the robot that this variant with narrower limits was made from, or None
+    _wide: Any = None  # For a variant with narrower limits, the robot from which it was made.
 
     def _note(self, notes: Iterable[str]) -> None:
         """Store notes on the description, and log those that are new."""
@@ -165,13 +165,13 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict by tip; a single value is that of the only tip. FrameNotFound for an unknown name."""
+        """Return targets or poses as a dict by tip; for a Robot a single one, not in a dict, is its tip's. Raises FrameNotFound."""
         if named := is_by_name(given):
             self.check_tips(given)
         return given if named or self.by_tip else {self.tips[0]: given}
 
     def for_tips(self, each: Mapping[str, Any]) -> Any:
-        """Turn a dict of results by tip into what users get: for a Robot the value of its only tip, for a Tree the dict itself."""
+        """Return a dict of results by tip in the form for users: for a Robot the value of its only tip, for a Tree the dict."""
         return each if self.by_tip else each[self.tips[0]]
 
     def tip_poses(self, q: np.ndarray) -> list[pin.SE3]:

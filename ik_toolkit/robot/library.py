@@ -21,7 +21,7 @@ from .packages import MANIFESTS
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # Robot names that begin with this are of the package robot_descriptions.
 MENAGERIE = "mujoco-menagerie:"  # Robot names that begin with this are folders of the MuJoCo Menagerie.
-# environment variable with the path of a copy of the MuJoCo Menagerie; the package mujoco-menagerie reads it too
+# The environment variable with the folder of a copy of the MuJoCo Menagerie; the package mujoco-menagerie reads it too.
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
@@ -56,7 +56,7 @@ class RobotEntry:
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# by name: the URDF file, below robots/, and the tips of the arms of example-robot-data 6 that have a fixed base
+# The fixed-base arms of the package example-robot-data 6 by name: the URDF file, below robots/, and the tips.
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
@@ -272,7 +272,7 @@ def find(source: str | Path) -> RobotEntry:
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
     name = str(source)
-    if name in shipped_robots():  # such a name may have been given as a Path
+    if name in shipped_robots():  # A name given as a Path object was not looked up above, where only text is.
         return shipped_robots()[name]
     if name in DATA_ROBOTS or name in data_files():
         path, folders = example_robot_data(name)
@@ -296,6 +296,6 @@ def _file(source: str | Path) -> Path | None:
     try:
         path = Path(source).expanduser()
         return path.absolute() if str(source) and path.is_file() else None
-    # the name may be too long or contain a NUL, or there may be no home folder
+    # An error here means that the text is no path: it is too long, has a NUL character, or has ~ where there is no home folder.
     except (OSError, ValueError, RuntimeError):
         return None

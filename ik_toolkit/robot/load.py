@@ -64,7 +64,7 @@ def _format_of(entry: RobotEntry) -> Format:
         return FORMATS[".xacro"]
     except IsMjcf:
         return FORMATS[".mjcf"]
-    # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
+    # A macro call in a .xacro file must be expanded. In a .urdf file it is a leftover that is ignored.
     return FORMATS[".xacro" if suffix == ".xacro" and "<xacro:" in text else ".urdf"]
 
 
@@ -92,9 +92,10 @@ def read_source(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a robot by name, path or text; return its library entry, and arguments for `Robot` with `own`, the SRDF of MJCF.
+    """Read a robot by name, path or text; return its library entry and a dict of arguments for `Robot`.
 
-    Raises what `Robot.load` raises.
+    The dict also has `own`: the configurations and collision pairs from the description itself (MJCF), as an Srdf. Raises what
+    `Robot.load` raises.
     """
     entry = find(source)
     read = urdf_of(entry, package_dirs, xacro_args, elsewhere)
@@ -175,10 +176,10 @@ def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
 def default_base(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Return the name of the base frame for `Robot.load` (None: the root): the given one, or else that of the library entry.
+    """Return the name of the frame that `Robot.load` uses as base (None: the root).
 
-    If the tip is below a floating or planar joint and no base_limits are given, it is the link that this joint moves; the joint is
-    then held still, which is noted in `made`, the arguments for `Robot`.
+    It is the given one, or else that of the library entry. If a floating or planar joint moves the tip and has no base_limits, that
+    joint is held still and the link that it moves is the base; a note on this is added to `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -226,7 +227,8 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
     travel = np.where(np.abs(strokes) < 1e5, np.abs(strokes), 0.0).max(axis=0).sum()
     long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
     mass = sum(inertia.mass for inertia in model.inertias)
-    if not (long > 50.0 and mass < 100.0 * long):  # more than 50 m, and less than 100 kg per metre
+    # Only links over 50 m long and under 100 kg per metre seem to be in millimetres.
+    if not (long > 50.0 and mass < 100.0 * long):
         return []
     weight = f"weigh {figure(mass)} kg" if mass else "have no mass"
     return [

@@ -142,7 +142,7 @@ def mobility_of(arm: Any) -> Mobility:
     tip_axis = None
     if axis is not None:
         tip_axis = T[0, :3, :3].T @ axis
-        # Of both senses of the axis, the one with a positive largest component in tip axes is used.
+        # An axis and its opposite mean the same, so the sign is chosen that makes its largest component in tip axes positive.
         if tip_axis[np.abs(tip_axis).argmax()] < 0.0:
             axis, tip_axis = -axis, -tip_axis
     normals = ways[:, moves:].T

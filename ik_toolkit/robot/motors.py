@@ -10,7 +10,7 @@ from ..errors import InvalidConfiguration, InvalidOption, JointNotFound, floats,
 from ..validate import number
 from .joints import Joints
 
-SUFFIX = ".pos"  # The LeRobot library calls the position of joint shoulder_pan "shoulder_pan.pos".
+SUFFIX = ".pos"  # A motor position may be named as in the LeRobot library: "shoulder_pan.pos" for joint shoulder_pan.
 
 
 class MotorMap:

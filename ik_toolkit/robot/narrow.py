@@ -24,7 +24,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
         else:
             key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
         found = kept.get(key)
-    except (AttributeError, TypeError):  # Limits given as lists are not looked up in the cache.
+    except (AttributeError, TypeError):  # Limits given as lists cannot be a key of the cache.
         key = found = None
     if found is None:
         lower, upper = _ends(robot, limits)
@@ -47,7 +47,10 @@ def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, A
 
 
 def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:
-    """Return the robot to solve for and whether its limits hold, by the option `limits`: True, False or narrower limits."""
+    """Return what the option `limits` of a call means: the robot to solve for, and whether its joint limits are respected.
+
+    limits: True, False (ignore them), or narrower limits as for `Joints.narrowed`, which give a variant of the robot.
+    """
     if isinstance(limits, bool | np.bool_):
         return robot, bool(limits)
     return narrowed(robot, limits), True

@@ -8,10 +8,11 @@ from pathlib import Path
 
 MANIFESTS = ("package.xml", "manifest.xml")  # A folder with one of these files is a ROS package.
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
-LEVELS = 8  # Packages are searched in this many of the folders above the file that names them, and beside those.
-# Below a given folder so many levels, and so many folders in all, are searched for packages.
+LEVELS = 8  # Packages are searched for in this many parent folders of the file that names them, and next to those.
+# Packages are searched for down to INSIDE levels below a folder, with at most FOLDERS folders on each level, to bound the time.
 INSIDE, FOLDERS = 3, 2_000
-DATA = {  # by Python distribution: its folder with ROS packages
+# Python packages that contain ROS packages, with the folders in which these are.
+DATA = {
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
 }

@@ -13,7 +13,7 @@ from ..kernel.checks import RIGID
 from .ros import listed_poses, read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
-LAST = (0.0, 0.0, 0.0, 1.0)  # the last row of every homogeneous transform
+LAST = (0.0, 0.0, 0.0, 1.0)  # The last row of every homogeneous transform.
 # A rotation matrix is projected to the nearest rotation if its singular values differ from 1 by at most this.
 PROJECT_WITHIN = 1e-2
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -60,7 +60,7 @@ def _near_unit(quat: Any, name: str) -> np.ndarray:
     if not abs(length - 1.0) <= PROJECT_WITHIN:
         mend = f"normalise it if it is right otherwise, in the order {', '.join(name[-4:])}"
         raise InvalidTarget(f"{name} has length {length:.4g}: not a rotation, which has length 1; {mend}")
-    # a quaternion written with four digits is off by at most 1e-4, so only larger deviations are reported
+    # The length of a quaternion written with four digits is off by at most 1e-4, so only larger deviations are reported.
     if abs(length - 1.0) > 1e-3 and name not in DOUBTED:
         DOUBTED.add(name)
         logging.getLogger("ik_toolkit").warning("%s has length %.4g and was normalised", name, length)
@@ -275,7 +275,7 @@ def _near(position: np.ndarray) -> np.ndarray:
 def as_matrix(pose: Any, of: str = "target", reach: float = math.inf) -> np.ndarray:
     """Return a pose given as (4, 4), as pin.SE3 or as a position (3,) (then with the identity rotation) as an array (4, 4).
 
-    of: what has this pose, for messages. reach: the reach of the arm [m]; a pose many reaches away gives a warning in the log.
+    of: name of the thing at this pose, for messages. reach: the arm's reach [m]; a pose many reaches away is warned of in the log.
     Raises InvalidTarget.
     """
     T = corrected(pose, of)
@@ -312,13 +312,16 @@ def as_array(target: Any, base: str = "") -> Any:
     if quat is None:
         return position
     if not np.isfinite([*position, *quat]).all():
-        # NaN marks a pose that cannot be read, so that a tracker can continue without it.
+        # A message with NaN has no usable pose. It becomes a pose of NaN, which a tracker skips, rather than an error.
         return np.full((4, 4), np.nan)
     return pose(position, quat_xyzw=quat)
 
 
 def row_hint(shape: tuple[int, ...]) -> str:
-    """Return the last words of an error about a pose given as 6 or 7 numbers: how to give it instead; '' for other shapes."""
+    """Return advice on how to give a pose that was given as 6 or 7 numbers, for the end of an error message.
+
+    shape: shape of the array that was given; for any other shape the text is ''.
+    """
     given = {6: "rpy", 7: "quat_xyzw"}.get(shape[-1] if shape else 0)
     return f"; the numbers of a row go into ik.pose(xyz=, {given}=)" if given else ""
 
@@ -328,7 +331,7 @@ def check_target(target: Any, base: str = "", of: str = "target") -> tuple[np.nd
 
     Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
     must be `base` where both are given. A rotation matrix whose singular values are within 1e-2 of 1 is projected to the nearest
-    rotation, and the sentence says so. of: what has this pose, for messages. Raises InvalidTarget if the target is none of these.
+    rotation, and the sentence says so. of: name of the thing at this pose, for messages. Raises InvalidTarget for anything else.
     """
     needed = f"{'a target' if of == 'target' else f'the pose of a {of}'} must be {FORMS}"
     T = floats(as_array(target, base), needed, InvalidTarget)

@@ -17,11 +17,12 @@ from .ros import listed_poses
 from .rotation import rotation_columns
 
 QUAT = ("qx", "qy", "qz", "qw")
-FORMS = {  # descriptions of the file formats, for error messages
+FORMS = {  # What a file of targets may contain, by suffix, for error messages.
     ".json": 'JSON has a list of positions, [[0.5, 0.1, 0.3]], or poses (4, 4), or an object with lists "xyz" and "quat_xyzw"',
     ".npz": "NPZ has an array xyz (N, 3), with quat_xyzw (N, 4) for poses, or targets (N, 4, 4) or (N, 3)",
 }
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w in quaternions of each order
+# For each order of a quaternion's numbers, the columns in which x, y, z and w are.
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}
 
 
 def short(text: str) -> str:
@@ -30,7 +31,7 @@ def short(text: str) -> str:
 
 
 def row_numbers(word: str, numbers: Sequence[int]) -> str:
-    """Return row or line numbers as text after `word`, such as 'line 4' or 'lines 4, 7 and 9'; beyond five they are counted."""
+    """Return row or line numbers as text, such as 'line 4' or 'lines 4, 7 and 9'; of more than five the others are counted."""
     texts = [str(number) for number in numbers[:5]]
     texts += [f"{len(numbers) - 5} more"] if len(numbers) > 5 else []
     return f"{word} {texts[0]}" if len(texts) == 1 else f"{word}s {', '.join(texts[:-1])} and {texts[-1]}"
@@ -52,7 +53,7 @@ def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
         )
         yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
-    # np.load would say in its error that the file could be unpickled, which is unsafe.
+    # A file that is not NPZ is refused before np.load reads it, whose error would suggest to unpickle it, which is unsafe.
     if not zipfile.is_zipfile(path):
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
@@ -73,7 +74,7 @@ def _array(path: Path, name: str, value: Any, base: str) -> np.ndarray:
         rows = [_as_numbers(_of_message(path, k, row, base)) for k, row in enumerate(value)]
         shape = next((row.shape for row in rows if row is not None), ())
         wrong = [k for k, row in enumerate(rows) if row is None or row.shape != shape]
-        if not wrong:  # Every row gave an array, and all have the same shape.
+        if not wrong:  # Every row could be read as an array, and all have the same shape.
             return np.array(rows)
         more = f"; so {'are' if wrong[2:] else 'is'} {row_numbers('row', wrong[1:])}" if wrong[1:] else ""
         many = f" {shape[0]}" if len(shape) == 1 else ""
@@ -92,7 +93,7 @@ def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
 
 def _as_numbers(value: Any) -> np.ndarray | None:
     """Return lists of numbers as an array of floats; None if they are anything else."""
-    # The checks of `floats` in errors.py would be slow for many rows.
+    # The function `floats` of errors.py is not used here, because its checks would be slow for many rows.
     with suppress(TypeError, ValueError, OverflowError):
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
@@ -111,7 +112,7 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
 
 def _refuse_rotations(path: Path, names: Iterable[str]) -> None:
     """Raise InvalidTarget if one of the `names` of arrays that stand beside positions is that of rotations."""
-    # A saved run may have errors and tolerances of its orientations, which turn nothing.
+    # A saved run may have arrays of orientation errors and tolerances, which are not rotations of the targets.
     others = [name for name in map(str.lower, names) if not re.search("error|between|tolerance", name)]
     if unread := rotation_columns(others):
         raise InvalidTarget(f"'{path.name}': {', '.join(unread)} would not be read; {FORMS[path.suffix.lower()]}")
@@ -178,7 +179,7 @@ def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
 def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: str) -> None:
     """Raise InvalidTarget unless the times t (N,) [s] increase.
 
-    The message calls the file `name` and the faulty row `word` with its number out of `numbers` (N,).
+    The message names the file (`name`) and the faulty row, as `word` ('line' or 'row') with its number in `numbers` (N,).
     """
     back = np.flatnonzero(~(np.diff(t) > 0.0))
     if len(back):
@@ -236,8 +237,8 @@ def quaternion_poses(
 ) -> np.ndarray:
     """Make poses (m, 4, 4) of positions xyz (m, 3) and quaternions x, y, z, w (m, 4).
 
-    Raises InvalidTarget for a quaternion whose length differs from 1 by 1 % or more. The message calls the file `name`, the row
-    `word` with its number out of `lines` (m,), and the columns qx, qy, qz, qw after `prefix`.
+    Raises InvalidTarget for a quaternion whose length differs from 1 by 1 % or more. The message names the file (`name`), the row,
+    as `word` ('line' or 'row') with its number in `lines` (m,), and the columns, as qx, qy, qz, qw after `prefix`.
     """
     length = np.linalg.norm(quat, axis=1)
     bad = ~(np.abs(length - 1.0) < 1e-2)

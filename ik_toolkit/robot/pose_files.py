@@ -32,11 +32,11 @@ from .rotation import euler_axes, euler_matrix, rotation_columns
 
 LINES = 16384  # A CSV file is read in blocks of this many rows, to bound the memory.
 POSITION, RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
-# Names of columns with angles about named axes (rx is about x), and with angles of the first, second and third rotation.
+# Columns of angles: rx, ry, rz about the axes they name, or a, b, c for the first, second and third rotation of a sequence.
 ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")
 ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # length of each unit [m]
-MARKS = (",", ";", "\t")  # characters that may separate columns
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # Metres in each unit of length.
+MARKS = (",", ";", "\t")  # Characters that may separate the columns of a CSV file.
 LONGEST_LINE = 2**20  # A line with more characters than this is refused.
 
 
@@ -44,8 +44,8 @@ class Convention(NamedTuple):
     """The units and the order of angles in a file of poses.
 
     length_unit: unit of positions, one of LENGTHS. deg: whether angles are in degrees, else radians. euler: the axes of
-    the three rotations, which follow one another about the already rotated axes (intrinsic, SciPy's capitals); None means
-    "zyx" (roll, pitch and yaw as in URDF).
+    the three rotations, each about an axis that the ones before have turned (intrinsic); None means "zyx" (yaw, pitch and
+    roll as in URDF).
     """
 
     length_unit: str = "m"
@@ -217,7 +217,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
         )
     found = {names: have for names in kinds if (have := [name for name in names if name in header])}
     if kinds[3] in found and given.euler is None and len(found[kinds[3]]) < 3:
-        del found[kinds[3]]  # Without all three of a, b and c, a column of such a name has something else.
+        del found[kinds[3]]  # Columns a, b and c are Euler angles only if all three are there.
     turned = next(iter(found), ())
     if len(found) > 1 or (found and len(found[turned]) < len(turned)):
         every = ", ".join(name for have in found.values() for name in have)
@@ -278,7 +278,7 @@ def _rows(stream: TextIO, name: str, top: int) -> Iterator[tuple[int, str]]:
 
     A warning names blank lines that other lines follow.
     """
-    gaps: list[int] = []  # line number of the first blank line of each gap between rows
+    gaps: list[int] = []  # The line number of the first blank line in each gap between rows, for a warning.
     skipped, before = 0, top
     for k, line in enumerate(_lines(stream, name), 1):
         if k <= top or _blank(line):
@@ -350,7 +350,7 @@ def _numbers(
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
     try:
-        # This also fails for a quoted cell with a separator in it, which is read line by line below.
+        # A quoted cell with a separator in it also fails this count; the code below then reads line by line.
         if any(text.count(mark) != width - 1 for text in texts):
             raise ValueError
         values = np.loadtxt(texts, delimiter=mark, usecols=columns, ndmin=2, comments=None, quotechar='"')

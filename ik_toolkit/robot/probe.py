@@ -43,16 +43,16 @@ class JointPath(NamedTuple):
     """The joints between base and tip of a Pinocchio model, and where their n coordinates are in its configuration (nq,)."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
-    # Number of `joints`, from the first on, that lead from the base towards the root, before the path turns to the tip.
+    # Of the joints of the path, the first `up` lead from the base towards the root, the others from there to the tip.
     up: int
     # The id of the joint of each coordinate, in the order of the path; a mimic joint counts as its leader.
     leaders: list[int]
-    # This many of the coordinates, the first, move the tip relative to the root. The remaining ones move only the branch of the
-    # base; they are coordinates because they move for another tip of a Tree.
+    # The first `own` coordinates move the tip relative to the root. The others move only the base's branch of the model; they are
+    # coordinates because they move another tip of a Tree.
     own: int
-    owner: dict[int, int]  # for each moving joint of the model, the index of its coordinate
-    idx_q: np.ndarray  # (n,) where each coordinate begins in a configuration (nq,)
-    circle: np.ndarray  # (n,) whether each coordinate is stored as cosine and sine in a configuration (nq,)
+    owner: dict[int, int]  # By id of a joint that a coordinate moves (also mimic joints): the index of that coordinate.
+    idx_q: np.ndarray  # For each of the n coordinates, where it begins in a Pinocchio configuration (nq,).
+    circle: np.ndarray  # For each of the n coordinates, whether Pinocchio stores it as cosine and sine.
 
 
 def mimics(model: pin.Model) -> dict[int, tuple[int, float, float]]:
@@ -140,10 +140,11 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 def limits(
     model: pin.Model, path: JointPath, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return the limits (n,) [rad or m] of the coordinates of a path, infinite where there are none, and sentences on changes.
+    """Return the joint limits lower, upper (n,) [rad or m] along a path, infinite where there are none, and notes for the user.
 
-    The limits of the model are narrowed so that each mimic joint stays inside its own limits. `followers` gives, by mimic joint:
-    leader, ratio, offset, lower and upper limit [rad or m]. Raises ModelError if no position of a joint is left.
+    The limits of the model are narrowed so that each mimic joint stays inside its own limits; the notes say where. `followers`
+    gives for each mimic joint: leader, ratio, offset, lower and upper limit [rad or m]. Raises ModelError if no position of a joint
+    is left.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -164,7 +165,8 @@ def limits(
         narrowed.setdefault(i, []).append((words, first, last))
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
-        if 0.0 < lower[i] - upper[i] <= rounding:  # both limits are equal up to rounding
+        # Limits that are in the wrong order only by rounding are equal.
+        if 0.0 < lower[i] - upper[i] <= rounding:
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [_turns(model, j) for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():
@@ -181,7 +183,7 @@ def limits(
             raise ModelError(
                 f"joint '{name}' moves from {low:g} to {high:g} {unit}; values above {most:g} are not computed"
             )
-        # Adding 0 turns -0.0 into 0.0 (see random_q).
+        # Adding 0 turns -0.0 into 0.0, because numpy's random generators refuse the range from 0.0 to -0.0.
         lower[i] = -np.inf if low <= -NO_LIMIT else max(low, -most) + 0.0
         upper[i] = np.inf if high >= NO_LIMIT else min(high, most) + 0.0
         if (np.abs([lower[i], upper[i]]) < np.abs([low, high])).any():
@@ -199,7 +201,10 @@ def limits(
 
 
 def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
-    """Return the middle of the limits (n,) [rad or m]; with an infinite limit, or `centred` (n,) False, the value nearest 0."""
+    """Return a start value (n,) [rad or m] for each joint: the middle of its limits, or the legal value nearest 0.
+
+    The latter is for joints with an infinite limit, and where `centred` (n,) is False.
+    """
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
     found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -219,10 +224,10 @@ def kinds(chain: Chain) -> tuple[str, ...]:
 def speed_limits(
     model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]
 ) -> tuple[np.ndarray, list[str]]:
-    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates of a path, infinite where there are none, and sentences.
+    """Return the velocity limits (n,) [rad/s or m/s] along a path, infinite where there are none, and notes for the user.
 
-    The limits of the model are lowered so that each mimic joint keeps its own limit; a sentence says so. `followers` gives, by
-    mimic joint, its ratio and its velocity limit.
+    The limits of the model are lowered so that each mimic joint keeps its own limit; the notes say where. `followers` gives for
+    each mimic joint its ratio and its velocity limit.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
     own = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
@@ -258,9 +263,10 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Return whether joint j (id) is revolute (else prismatic), its motion [rad or m] per unit of its coordinate, and axis (3,).
+    """Return the screw of a Pinocchio joint: whether it is revolute (else prismatic), its ratio and its unit axis (3,).
 
-    `data` needs the result of a forward kinematics. Raises ModelError for a joint that does neither, or does not move.
+    The ratio is its motion [rad or m] per unit of its coordinate in q. j: id of the joint. data: a pin.Data after forward
+    kinematics. Raises ModelError for a joint that is neither revolute nor prismatic, or does not move.
     """
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
@@ -305,12 +311,13 @@ def probe(
             before = before * (data.liMi[j].inverse() if upwards else data.liMi[j])
             continue
         turns, ratio, axis = screw(model, data, j)
-        # Towards the root a joint is traversed backwards: exp(-S q), then the inverse of its pose at 0.
+        # On the way towards the root a joint is passed backwards: first exp(-S q), then the inverse of its pose at q = 0.
         z = pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), -axis if upwards else axis), np.zeros(3))
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # cosine of the rotation about x before the joint; it is set below for all but the first joint
+        # This is the cosine of the rotation about x before the joint. Only the first joint keeps the value of 1.
+        row[0] = 1.0
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
@@ -349,9 +356,9 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
 def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Return the largest difference between a Chain and kinematics(q), which gives the pose (pin.SE3) and the Jacobian (6, n).
 
-    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance `far` [m] of
-    its base from the origin of the model. The Jacobian column of a leader is divided by the sum of the ratios of its joints if that
-    is above 1. The result is at least HELD times the largest angle [rad], the rounding error there.
+    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and a small share (FAR) of the distance
+    `far` [m] of its base from the origin of the model. The Jacobian column of a joint with mimic joints is divided by the sum of
+    all their ratios if that is above 1. The result is at least the rounding error of the largest angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)

@@ -32,7 +32,7 @@ from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
 
-# attributes with caches, which a copy must not share
+# Attributes of a Robot that are caches; they are left out of copies and pickles.
 CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")
 
 
@@ -95,7 +95,7 @@ class Robot(Joints):
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # (lower, upper) by joint, of a copy made by `narrowed`
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits by joint that `narrowed` gave to this variant.
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in followers(urdf).rest.items():
             self._set_rest(joint, value, False)
@@ -231,7 +231,7 @@ class Robot(Joints):
         self._compare()
         strokes = np.array([lower, upper])[:, self.slides & ~based]
         self._note(doubted_size(model, path.joints, tip_id, strokes))
-        # The home of a library robot has no values for the joints of a moving base, so they are put before it.
+        # The home of a library robot has no values for the joints of a moving base, so start values of these are put first.
         if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
@@ -246,7 +246,7 @@ class Robot(Joints):
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # `off > AGREE` would accept NaN.
+        if not off <= AGREE:  # Unlike `off > AGREE`, this is true for NaN too.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
@@ -272,7 +272,7 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._filled(q))
-        # The base is not fixed: a joint between the root and the base may mimic one on the path.
+        # The base frame may move in the model, because a joint between root and base may mimic one on the path.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
@@ -288,7 +288,7 @@ class Robot(Joints):
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
-        # The base moves too, so its Jacobian is subtracted from that of the tip.
+        # The base frame may move in the model too, so its Jacobian is subtracted from that of the tip.
         for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):
             K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
             K[:3] -= pin.skew(point - frame.translation) @ K[3:]
@@ -348,14 +348,14 @@ class Robot(Joints):
         other._build(self.home)
         return other
 
-    write = write_urdf  # writes the description as a plain URDF
+    write = write_urdf  # robot.write(file) saves the robot's description as one plain URDF.
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
         follow = len(self.model.mimicking_joints)
-        # A given model may lack the mimic joints of its URDF; it is then pickled itself.
+        # A model given by the user may lack the mimic joints of its URDF. Then it could not be made again from that text.
         if self.urdf is not None and (follow or not followers(self.urdf).tied):
             state["model"] = state["_original"] = state["_given"] = None
         elif follow:

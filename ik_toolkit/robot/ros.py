@@ -7,10 +7,10 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidTarget, floats
 
-LARGEST_NANOSEC = 999_999_999  # the largest valid nanosec of a ROS time, to which rounded fractions are cut
+LARGEST_NANOSEC = 999_999_999  # The largest valid nanosec of a ROS time. A fraction that rounds to 1 s is cut to it.
 
 
-POINT, QUATERNION = "xyz", "xyzw"  # the fields of geometry_msgs/Point and Vector3, and of Quaternion
+POINT, QUATERNION = "xyz", "xyzw"  # The fields of the ROS messages Point and Vector3, and those of Quaternion.
 
 
 def _field(message: Any, name: str) -> Any:

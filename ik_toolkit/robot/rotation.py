@@ -12,12 +12,13 @@ from ..errors import InvalidOption, InvalidTarget, floats
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) that turns the unit vector `axis` (3,) onto the unit vector `direction` (3,)."""
     cos = float(axis @ direction)
-    # 1 + cos is inexact near 180 degrees, so the rotation is made of two reflections: onto a third vector, then on.
+    # The formula below divides by 1 + cos, which is inexact near 180 degrees. Beyond 90 degrees the rotation is therefore made of
+    # two reflections: one that takes `axis` to a third vector, and one that takes this to `direction`.
     if cos < 0.0:
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
+    K = np.outer(direction, axis) - np.outer(axis, direction)  # The skew-symmetric matrix of axis x direction.
     return np.eye(3) + K + K @ K / (1.0 + cos)
 
 
@@ -105,7 +106,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     The roll is found from Rz(yaw)^T R, so the three angles reproduce R to rounding, however near pitch is to 90 degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    # At a smaller cosine of the pitch the yaw would consist of rounding errors.
+    # If the cosine of the pitch is as small as rounding errors, the yaw would consist of them, so it is set to 0.
     yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])

@@ -29,7 +29,7 @@ OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover shape dummy".split()
 )
-# the types of Pinocchio frame that may be a base or a tip: links, and joints
+# The types of Pinocchio frame that may be a base or a tip: those of links (LINKS), and those of joints.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 SHOWN = 3  # A message lists at most this many candidates for the tip.
@@ -48,16 +48,20 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame whose name consists of the words `said` follows a naming convention for tips, itself a set of words.
+    """Return whether a frame's name follows a naming convention for tips: it has all its words, and none such as 'finger'.
 
-    A name with the words "arm" and "tool" follows only the convention of these two words, which ranks below a hand.
+    said: the words of the name. A name with the words "arm" and "tool" follows only the convention of these two words, which is a
+    weaker sign of a tip than "hand".
     """
     on_arm = "arm" in said and "tool" in said
     return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Return whether any of the words `said` is one of `names`, by default of parts that carry no tool; 'camera2' is 'camera'."""
+    """Return whether a frame's name, split into words `said`, contains one of `names`, such as 'finger' or 'camera'.
+
+    By default `names` are words for parts on which no tool is mounted. Digits at the end do not count: 'camera2' is 'camera'.
+    """
     return any(word.rstrip("0123456789") in names for word in said)
 
 
@@ -75,9 +79,8 @@ def path_ends(model: pin.Model) -> tuple[str, ...]:
 def guess_tip(model: pin.Model) -> Guess:
     """Guess the tip of a model by the usual names of tip frames; without one, take the ends of paths with the most joints.
 
-    A joint with several degrees of freedom does not count: what only it moves is a free object of a scene, or the
-    robot's base. Of the ends that no convention names, those moved by at most half as many joints as another (a lidar,
-    a head) are left out.
+    Joints with several degrees of freedom do not count, because what only such a joint moves is a free object of a scene or the
+    robot's base. Where names do not help, path ends moved by at most half as many joints as another (a lidar, a head) are left out.
     """
     moved = [f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and f.parentJoint > 0]
     joints = {f.name: sum(model.joints[j].nv < 2 for j in model.supports[f.parentJoint] if j) for f in moved}
@@ -96,7 +99,7 @@ def guess_tip(model: pin.Model) -> Guess:
         [_carrier(model, f) for f in ends],
     )
     most = max((joints[f.name] for f in plain), default=0)
-    # Of several frames that the same joint moves, only the first is a candidate.
+    # Frames moved by the same joint differ only by a fixed offset, so only the first of them is a candidate.
     longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 

@@ -18,13 +18,13 @@ from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
-ENDS = 8  # A message lists at most this many ends of paths.
+ENDS = 8  # A message lists at most this many links at the ends of a robot's branches.
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
     """Return the names of all joints of several arms, each once: those of the first arm, then those that each further arm adds.
 
-    A joint that one arm has only because it moves the tip of another comes with the joints of the other.
+    A joint that an arm has only because it moves another arm's tip is listed with that other arm.
     """
     own = [joint for arm in arms for joint in arm.joint_names[: arm._path.own]]
     return tuple(dict.fromkeys([*own, *(joint for arm in arms for joint in arm.joint_names)]))
@@ -111,14 +111,15 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # The arms are taken in reversed order, so that values of earlier tips overwrite those of later ones.
+        # Arms may have different home values for a joint that they share. In reversed order the first arm is the last to set it.
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
             idx_q[place], circle[place] = arm._path.idx_q, arm._path.circle
             for joint, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
-                # A prismatic joint that a revolute joint mimics is revolute in the arm with that joint, and so in the tree.
+                # An arm in which a revolute joint mimics a prismatic one counts the coordinate of both as revolute, so the tree
+                # does too.
                 if kinds.get(joint, "prismatic") == "prismatic":
                     kinds[joint] = kind
         for joint, low, high in zip(names, lower, upper, strict=True):
@@ -284,7 +285,10 @@ class Tree(Joints):
 
 
 def require_one_tip(robot: Any, what: str) -> None:
-    """Raise InvalidOption for a Tree: `what` (the beginning of the message) works for one tip only, and how to choose it."""
+    """Raise InvalidOption unless `robot` is a Robot, for calls that work for a single tip.
+
+    what: the call or option, with which the message begins. For a Tree the message says how to choose one tip.
+    """
     if isinstance(robot, Tree):
         raise InvalidOption(
             f"{what} needs one tip, and this tree has {', '.join(robot.tips)}; choose one: ik.Robot.load(source, tip="

@@ -29,10 +29,10 @@ from ..report import Report
 from .published import PAPER_OPTIONS, TO_PAPER, attempt
 
 GENERATIONS, PARTICLES, GOALS = 25, 40, 300
-SEARCH_STEPS = 400  # highest number of iterations while searching; the result of the paper needs about 350
-# K_p is SAFETY times the gain margin that all but WEAKEST percent of the configurations have.
+SEARCH_STEPS = 400  # Iteration limit of a solve during the search. The solver that the paper found needs about 350.
+# The gain K_p of IK-PID is SAFETY times the gain margin that all but WEAKEST percent of random configurations reach.
 WEAKEST, SAFETY = 1.0, 0.5
-CONFIGURATIONS = 3000  # number of random configurations whose gain margins are computed
+CONFIGURATIONS = 3000  # Number of random configurations whose gain margins are computed.
 
 
 def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) -> None:
@@ -49,7 +49,7 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
         (f"B by theory, best of {budget} configurations", "-", budget): search_theory(robot, published, q0, budget),
         ("all 90 entries by a particle swarm", "993, ~350 iterations", budget): search(robot, space, q0, Swarm),
     }
-    if find_spec("cma") is not None:  # cma is an extra of the toolkit, which may not be installed
+    if find_spec("cma") is not None:  # The package cma is optional; without it this row is left out.
         rules["all 90 entries by CMA-ES", "-", budget] = search(robot, space, q0, Evolution)
     rules["IK-PID, published gains", "994 by hand", 0] = PID.preset("burrell-2016")
     rules[f"IK-PID, K_p = {kp:.4f} by theory", "-", 0] = PID(kp=kp, units="mm-deg")
@@ -74,28 +74,31 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
 
 
 def theory(robot: Robot, published: StateSpace, q: np.ndarray) -> StateSpace:
-    """Return the published solver with B replaced by the one that gives equal poles and least joint moves at q (n,) [rad]."""
+    """Return the published state-space solver with an input matrix B that is designed by theory at q (n,) [rad].
+
+    This B gives the control loop equal poles at q, and the smallest joint steps.
+    """
     A, C = np.asarray(published.A), np.radians(np.asarray(published.C))
     g = (1.0 - A[0, 0]) / 4.0
-    # static gain [rad/m] that is asked for, in base axes
+    # The static gain [rad/m] that B has to give, from an error in base axes to a joint step.
     S = g * np.linalg.pinv(robot.chain.forward(q[None], jacobian=True)[1][0, :3])
     return published._replace(B=np.linalg.solve(C, (np.eye(len(A)) - A) @ S @ TO_PAPER.T) / 1000.0)
 
 
 def search_theory(robot: Robot, published: StateSpace, q0: np.ndarray, count: int) -> StateSpace:
-    """Return the solver that solves the most training goals, of `count` solvers designed by `theory` at random configurations."""
+    """Return the solver that misses fewest training goals, of `count` solvers that `theory` designs at random configurations."""
     designs = [theory(robot, published, q) for q in robot.random_q(np.random.default_rng(90), count)]
     return min(designs, key=_cost(robot, q0))
 
 
 def margin_gain(robot: Robot) -> float:
-    """Return a gain K_p [degrees per mm] of IK-PID below the gain margins of most random configurations."""
+    """Return a gain K_p [degrees per mm] below the gain margins of most random configurations, so that IK-PID is stable there."""
     margins = gain_margins(robot, robot.random_q(np.random.default_rng(0), CONFIGURATIONS))
     return float(SAFETY * np.percentile(margins, WEAKEST) / PID_UNITS["mm-deg"])
 
 
 def all_entries(rule: StateSpace) -> Space:
-    """Return the parameter space to search: all entries of A, B and C, each within a margin of its published value."""
+    """Return the space in which state-space solvers are searched: all entries of A, B and C, each near its published value."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     parameters = (
         Parameter("A", A - 0.5, A + 0.5, A),

@@ -22,9 +22,10 @@ from .published import PAPER_OPTIONS, TO_PAPER, attempt
 # Values of the proportional gain K_p that are compared [degrees per mm].
 GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
 EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
-# A tuning with this number of successes of 1000, or fewer, is poor: the paper says "say 20 % of reachable points" in section 4.
+# A gain that solves this many of 1000 goals, or fewer, counts as poor: the paper says "say 20 % of reachable points" in section 4.
 POOR = 200.0
-# number of random goals tried for Fig. 4, and of the best of them, which are tried at every gain
+# The goal printed for Fig. 4 cannot be reached. To find another, CANDIDATES random goals are tried at some gains, and the best
+# MATCHES of them at every gain.
 CANDIDATES, MATCHES = 200_000, 40
 
 
@@ -76,9 +77,9 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Return how far each point (N, 3) [m] is from the edge of the reach: the least distance of EDGE at which a point is out of it.
+    """Return about how far each point (N, 3) [m] is from the edge of the reach, as one of the distances EDGE [m].
 
-    It is twice the largest of these distances if all points at them are in reach.
+    It is the least of them at which a point around the given one is out of reach, or twice the largest if none is.
     """
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])
@@ -102,8 +103,8 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     def batch(points: np.ndarray, kp: float) -> BatchResult:
         return attempt(robot, points, PID(kp=kp, units="mm-deg"), q0)
 
-    # As for the paper's goal, a candidate must be reached at the gain 0.0847, but not at 0.0848.
-    # The goals that pass are compared with the paper at a coarse grid of gains, and the best of them at every gain.
+    # In the paper the goal is reached with the gain 0.0847, but not with 0.0848. Candidates for which this holds too are compared
+    # with the paper at a coarse grid of gains, and the best of them at every gain.
     left = sample_targets(robot, CANDIDATES, 2016, position_only=True)
     result = solve_batch(robot, left, published, q0=q0, check=0.0)
     left, steps = left[result.success], result.iterations[result.success]
@@ -113,7 +114,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         good = batch(left, kp).success == wanted
         left, steps = left[good], steps[good]
         threshold = threshold or len(left) * (kp == 0.0847)
-    # Fig. 5 of the paper shows about 100 iterations.
+    # The state-space solver takes about 100 iterations in Fig. 5 of the paper, so goals with about as many are preferred.
     nearest = np.argsort(np.abs(steps - 100), kind="stable")[:MATCHES]
     above, below = np.round(np.arange(0.0848, 0.30005, 0.0001), 4), np.round(np.arange(0.001, 0.08475, 0.0001), 4)
     reached, lost = (

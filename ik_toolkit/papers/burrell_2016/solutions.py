@@ -12,11 +12,11 @@ from ..report import Report
 
 
 class Numbers(NamedTuple):
-    """How many IK solutions each of N poses has."""
+    """The numbers of IK solutions of N poses, as `numbers` counts them."""
 
-    all: np.ndarray  # (N,) number of solutions if joint limits are ignored
-    legal: np.ndarray  # (N,) number of solutions within the limits
-    certified: np.ndarray  # (N,) whether the list of solutions is certified to be complete
+    all: np.ndarray  # (N,) The number of solutions of each pose if joint limits are ignored.
+    legal: np.ndarray  # (N,) The number of solutions of each pose within the joint limits.
+    certified: np.ndarray  # (N,) Whether it is proven for a pose that no solution is missing.
 
 
 def numbers(robot: Robot, T: np.ndarray) -> Numbers:

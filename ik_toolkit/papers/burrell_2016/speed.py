@@ -16,14 +16,14 @@ from ..report import Report, Work, cell, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
-SETS = range(7, 14)  # seeds of the sets of 1000 goals
+SETS = range(7, 14)  # Seeds of the random generator, each for a set of 1000 goals.
 
 
 class Amount(NamedTuple):
-    """How much work is timed.
+    """How many solves are timed for the comparison with the times in the paper.
 
     Attributes:
-        runs: number of timed runs with the same goals, which show the spread.
+        runs: number of timed runs with the same goals, which show the spread of the times.
         few: number of goals for the interpreted versions, which are slow.
         few_runs: number of timed runs of the interpreted versions.
     """
@@ -36,15 +36,19 @@ class Amount(NamedTuple):
 AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
-BASE = "J+"  # name of the method (pseudo-inverse) by whose time all times are divided
-# For each of these methods, the method of Table II with which it is compared.
+BASE = "J+"  # All times are divided by that of this method, the pseudo-inverse.
+# For each of our variants of a published method, the method of Table II with which its time is compared.
 SAME_AS = {"J+, plain": "J+", "DLS, clipped": "DLS", "DLS, limits held": "DLS"}
 
-Times = dict[str, list[np.ndarray]]  # times [s] of all runs for each tolerance, by method
+# By method, for each tolerance an array with the times [s] of all runs.
+Times = dict[str, list[np.ndarray]]
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
-    """Add the section on Table II, the times of a solve, to the report; q0 (n,) [rad]: start of solvers without one."""
+    """Add the section on Table II, the times of a solve, to the report.
+
+    q0: start (n,) [rad] of the solvers that have none of their own.
+    """
     report.heading("Table II: time per goal")
     damping = 0.1 / robot.chain.scale
     rules: dict[str, tuple[Any, np.ndarray | None]] = {

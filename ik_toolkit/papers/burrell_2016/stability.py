@@ -13,14 +13,19 @@ from ..report import Report
 from .figures import draw_stability
 from .published import attempt
 
-SETTLED = 1e-6  # [rad] A run ended in the affine subspace q0 + S w (its "slice") if its distance from it is below this.
-NEAR = 1e-9  # [rad] A joint nearer to a limit than this counts as at the limit.
-# Gains [degrees per mm] at which the margins of IK-PID are compared with runs.
+# Without limits a run ends in the three-dimensional "slice" of joint space q0 + S w, where S is the static gain of the solver and w
+# any sum of errors. A run within this distance [rad] of the slice counts as ended in it.
+SETTLED = 1e-6
+NEAR = 1e-9  # A joint nearer to a limit than this [rad] counts as at the limit.
+# Gains K_p of IK-PID [degrees per mm] for which the share of goals that theory predicts is compared with the share that runs solve.
 KP = (0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
 
 
 def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets: list[np.ndarray]) -> None:
-    """Add the section on convergence and stability; starts (n,) [rad] by name; sets: goals (N, 3) [m]."""
+    """Add the section on convergence and stability of the paper's solvers to the report.
+
+    starts: start configurations (n,) [rad] by name. sets: arrays of goals (N, 3) [m].
+    """
     report.heading("Beyond the paper: the convergence and stability it announces")
     rule = StateSpace.preset("burrell-2016")
     found = analyse(robot, rule)
@@ -63,7 +68,11 @@ def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets:
 
 
 def outcomes(found: LoopAnalysis, run: BatchResult, goals: np.ndarray, q0: np.ndarray) -> list[float]:
-    """Return a row of the table of predicted and actual outcomes [%], for runs from a start."""
+    """Return a row of the table that compares actual with predicted outcomes, for solves from q0 (n,).
+
+    The numbers are shares [%]: goals solved, failures with a joint at a limit, successes with a joint at a limit, successes in the
+    slice of joint space that theory predicts, and goals whose outcome is as predicted.
+    """
     robot, good = found.robot, run.success
     held = ((run.q <= robot.lower + NEAR) | (run.q >= robot.upper - NEAR)).any(axis=1)
     on_slice = found.off_slice(run.q[good], q0) < SETTLED
@@ -72,8 +81,10 @@ def outcomes(found: LoopAnalysis, run: BatchResult, goals: np.ndarray, q0: np.nd
 
 
 def margin_sweep(robot: Robot, goals: np.ndarray, q0: np.ndarray) -> tuple[np.ndarray, list[list[float]]]:
-    """Return gain margins [degrees per mm] at solutions of the goals, and for each of KP the share [%] of margins above it, and of
-    goals solved with it.
+    """Compare gain margins of IK-PID with runs.
+
+    Returns the margins [degrees per mm] at solutions of the goals, and a row for each gain of KP: the gain, the share [%] of
+    margins above it, and the share [%] of goals solved with it.
     """
 
     def runs(kp: float) -> BatchResult:

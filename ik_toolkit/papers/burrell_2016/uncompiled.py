@@ -16,8 +16,8 @@ from ...solvers.protocol import Asked, rule
 from ...solvers.rules.state_space import StateSpace
 from ..report import shipped_table
 
-LIMIT = 1000  # highest number of iterations
-# Least det(JJ') over (trace / 3)^3: below it the condition number of J is above about 1e4, and the inverse inaccurate.
+LIMIT = 1000  # Iteration limit of a solve.
+# If det(JJ') is below this share of (trace(JJ') / 3)^3, the condition number of J is above about 1e4 and the inverse inaccurate.
 NEAR_SINGULAR = 1e-8
 
 
@@ -36,7 +36,7 @@ class PlainPinv(NamedTuple):
 
     def step(self, p, e):
         s = p.desk
-        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the matrix JJ' (3, 3), row by row
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # The sum over joints becomes the symmetric matrix JJ' (3, 3).
         for i in range(s.dq.shape[0]):
             u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
             gram = gram.plus(u, u)
@@ -82,9 +82,9 @@ class Interpreted:
         return found
 
     def run(self, name: str, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
-        """Solve one goal (3,) [m] from start (n,) [rad], and return whether it converged.
+        """Solve one goal (3,) [m] by the method `name` from start (n,) [rad], and return whether it converged.
 
-        The state-space solver has a start of its own.
+        The state-space solver ignores `start`, because it is tuned for a start of its own.
         """
         if name == "IK-PID":
             return self._pid(goal, start, tolerance)
@@ -152,7 +152,7 @@ class Interpreted:
     @staticmethod
     def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
         J = jacobian(frames)
-        # The damping 0.01 m^2 is (100 mm)^2, as in the paper.
+        # The damping factor of the paper is 100 mm, so its square is 0.01 m^2.
         return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)
 
 

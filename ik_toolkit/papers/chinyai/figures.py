@@ -11,7 +11,10 @@ from .formulas import LEVENBERG, LIMIT, NO_CLIP, PLAIN, SEARCH, STEP, closed_for
 
 
 def outcomes(rows: np.ndarray) -> np.ndarray:
-    """Return the outcomes of rows of `newton_all` as floats: 0 for theta_2 >= 0, 1 for theta_2 < 0, NaN without convergence."""
+    """Return to which solution each Newton run converged: 0. for theta_2 >= 0, 1. for theta_2 < 0, NaN if to none.
+
+    rows: the results (N, 4) of `newton_all`.
+    """
     return np.where(rows[:, 2] < 0, np.nan, np.where(np.sin(rows[:, 1]) >= 0, 0.0, 1.0))
 
 
@@ -34,15 +37,15 @@ def _image(axis: Any, plt: Any, picture: np.ndarray, half: float) -> None:
 
 
 def grid(count: int) -> np.ndarray:
-    """Return starting angles (count^2, 2) [rad] all over the square of -180 to 180 degrees."""
+    """Return a grid of starting angles (count^2, 2) [rad], from -180 to 180 degrees for each joint."""
     side = np.radians(np.linspace(-180.0, 180.0, count))
     return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
 def target_basins(plt: Any, shares: dict[str, float]) -> Any:
-    """Draw the outcome for all targets from the start (45, 90) degrees.
+    """Draw for which targets Newton-Raphson converges from the start (45, 90) degrees, and to which solution.
 
-    shares: percentage of targets solved, by column name of the table of convergence; the panels' titles state them.
+    shares: percentage of targets solved, by variant ("plain", "step", "LM", "plain + clip"), for the panels' titles.
     """
     side = np.linspace(-2.0, 2.0, 401)
     x, y = np.meshgrid(side, side)
@@ -83,7 +86,10 @@ def start_basins(plt: Any, target: tuple[float, float]) -> Any:
 
 
 def over_starts(plt: Any, panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
-    """Draw outcomes over all starting angles, flat arrays of `_image` by title, with both solutions of a target marked."""
+    """Draw panels of outcomes over all starting angles, with both solutions of the target marked.
+
+    panels: by title, the outcomes (count^2,) at the starts of `grid`: 0 or 1 for the two solutions, NaN for no convergence.
+    """
     figure, axes = plt.subplots(1, len(panels), figsize=(10.5, 4.1), layout="constrained", sharey=True)
     for axis, (title, picture) in zip(axes, panels.items(), strict=True):
         _image(axis, plt, picture.reshape(math.isqrt(len(picture)), -1), 180.0)

@@ -7,9 +7,11 @@ import numpy as np
 
 from ...compile.jit import cached
 
-PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # Newton's step: full, with line search, Levenberg-Marquardt, limited length
-LONGEST = 0.5  # largest step of a joint in the variant STEP [rad]
-LIMIT = math.radians(150.0)  # joint limit [rad] of the toolkit's robot planar_2r, because the paper gives none
+# Variants of the step of Newton's method: full, with line search, Levenberg-Marquardt, with limited length.
+PLAIN, SEARCH, LEVENBERG, STEP = range(4)
+LONGEST = 0.5  # Largest step [rad] of a joint in the variant STEP.
+# The joint limit [rad] of the toolkit's robot planar_2r, used because the paper gives none.
+LIMIT = math.radians(150.0)
 TOLERANCE = 1e-10
 ITERATIONS = 50
 NO_CLIP = 1e9
@@ -44,14 +46,14 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
         if k == iterations or not ee < 1e300:
             break
         b1, b2 = l2 * math.cos(t1 + t2), l2 * math.sin(t1 + t2)
-        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # the Jacobian of the 2R arm is [[-a2, -b2], [a1, b1]]
+        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # The Jacobian of the arm is [[-a2, -b2], [a1, b1]].
         if kind == LEVENBERG:
             g1, g2 = -a2 * ex + a1 * ey, -b2 * ex + b1 * ey
             h11, h12, h22 = a1 * a1 + a2 * a2 + damping, a1 * b1 + a2 * b2, b1 * b1 + b2 * b2 + damping
             det = h11 * h22 - h12 * h12
             d1, d2 = (h12 * g2 - h22 * g1) / det, (h12 * g1 - h11 * g2) / det
         else:
-            det = a1 * b2 - a2 * b1  # determinant of the Jacobian, l1 l2 sin(theta_2)
+            det = a1 * b2 - a2 * b1  # The determinant of the Jacobian, which is l1 l2 sin(theta_2).
             if det == 0.0:
                 break
             d1, d2 = -(b1 * ex + b2 * ey) / det, (a1 * ex + a2 * ey) / det
@@ -72,7 +74,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
                 damping = max(0.1 * damping, 1e-15)
             elif kind == SEARCH:
                 break
-            else:  # the step is rejected, and a shorter one is tried from the same angles
+            else:  # The step increased the error, so a shorter one is tried from the same angles.
                 damping *= 10.0
                 ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
                 ey = l1 * math.sin(t1) + l2 * math.sin(t1 + t2) - y
@@ -125,7 +127,7 @@ def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float)
 
 
 def targets(rng: np.random.Generator, count: int, l1: float, l2: float) -> np.ndarray:
-    """Draw reachable points (N, 2) that are uniform over the area of the ring."""
+    """Draw random points (N, 2), uniform over the area of the ring that a planar two-link arm reaches."""
     r = np.sqrt(rng.uniform((l1 - l2) ** 2, (l1 + l2) ** 2, count))
     angle = rng.uniform(-np.pi, np.pi, count)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
@@ -134,7 +136,10 @@ def targets(rng: np.random.Generator, count: int, l1: float, l2: float) -> np.nd
 def converge(
     X: np.ndarray, l1: float, l2: float, start: Any, kind: int, clip: float = NO_CLIP, iterations: int = ITERATIONS
 ) -> np.ndarray:
-    """Return the rows (N, 4) of `newton_all` from one start (2,), or from one for each target (N, 2)."""
+    """Solve targets by Newton-Raphson; return rows (N, 4) of both angles [rad], number of steps (negative: failed) and |error|.
+
+    The start is one (2,) for all targets, or one for each (N, 2).
+    """
     out = np.empty((len(X), 4))
     newton_all(X, l1, l2, np.atleast_2d(np.asarray(start, dtype=float)), kind, clip, iterations, out)
     return out

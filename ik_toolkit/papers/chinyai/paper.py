@@ -24,7 +24,7 @@ ROUNDS = 15
 
 
 def reproduce(count: int = 20_000, seed: int = 0) -> Report:
-    """Compute the report, with `count` random targets for the table of convergence."""
+    """Compute the report on this paper, with `count` random targets for its table of convergence."""
     with Report("chinyai", "Chinyai: Newton-Raphson against the closed form, tested") as report:
         report.text(
             "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
@@ -71,7 +71,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
             (f"the same with atan2 for both arctan, {name} signs", np.arctan2(y, x) + sign * turned),
             (f"corrected (always minus, signed sine, atan2), {name} sign of theta_2", np.arctan2(y, x) - turned),
         ):
-            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # tip position as a complex number, x + iy
+            reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))  # The tip as x + iy.
             rows.append([words, 100.0 * float(np.mean(np.abs(reached - (x + 1j * y)) < 1e-9))])
     report.table("formulas", ["formulas", "targets reached (%)"], rows)
     report.text(
@@ -86,7 +86,7 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     fixed = np.array([[math.radians(45.0), math.radians(90.0)]])
     X = planar.targets(rng, 2 * n, l1, l2)
-    # Targets at which Newton never converges are left out, because they would take all 50 steps.
+    # Targets for which Newton does not converge are left out of the timing, because they would take all 50 steps.
     X = X[planar.converge(X, l1, l2, fixed, planar.PLAIN)[:, 2] >= 0][:n]
     both, out = np.empty((n, 4)), np.empty((n, 4))
     planar.closed_form_all(X, l1, l2, both)
@@ -163,7 +163,7 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
     return report.number("newton_over_closed_form", ratio)
 
 
-STARTS = {  # starting angles [degrees] by arm (l1, l2)
+STARTS = {  # Starting angles [degrees] of both joints that are compared, by link lengths (l1, l2) of the arm.
     (1.0, 1.0): ((0.0, 5.7), (0.0, 0.06), (28.6, 28.6), (0.0, 90.0), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
     (1.0, 0.6): ((0.0, 5.7), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
 }

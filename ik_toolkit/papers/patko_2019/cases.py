@@ -13,8 +13,9 @@ from ...servo.orbit_stability import JacobianDerivatives, OrbitState, chained, s
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-ZIGZAGS = ("aa1", "aa2")  # method aa with dJ/dt read in ways 1 and 2; their runs zigzag about the exact motion
-# Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
+# The paper's method aa, with two readings of how it computes dJ/dt. In both the joint rates zigzag about those of the exact motion.
+ZIGZAGS = ("aa1", "aa2")
+# The tracking methods of the report: name and options in the toolkit. The last one, aad, is not from the paper.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),
@@ -50,7 +51,7 @@ SETS = {
 
 # ------------------------------------------------------------------------------------------------ the three systems
 def one_dof(c: float = 0.2) -> System:
-    """Return the system r = c + sqrt(q) with one joint, eq. (37), which is not defined for q < 0."""
+    """Return the System r = c + sqrt(q) with one joint q and one task coordinate r, eq. (37). It is not defined for q < 0."""
     return System(
         lambda q: c + np.sqrt(q),
         lambda q: np.array([[0.5 / np.sqrt(q[0])]]),
@@ -59,7 +60,7 @@ def one_dof(c: float = 0.2) -> System:
 
 
 def pp_arm(length: float = 0.5) -> System:
-    """Return the tip of two perpendicular prismatic joints, eq. (38)."""
+    """Return the System for the tip of an arm with two perpendicular prismatic joints, eq. (38)."""
     return System(lambda q: length + q, lambda q: np.eye(2), lambda q, x, y: np.zeros(2))
 
 
@@ -79,14 +80,17 @@ def rr_inverse(p: np.ndarray, length: float = 1.0) -> np.ndarray:
 
 
 def sine(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the desired path r_d = a0 + a1 sin(w t), eq. (36), with its derivatives."""
+    """Return the target r_d = a0 + a1 sin(w t), eq. (36), at time t [s], with its first and second derivatives."""
     a, w = 0.6, 0.28
     s, c = np.sin(w * t), np.cos(w * t)
     return np.array([1.2 + a * s]), np.array([a * w * c]), np.array([-a * w * w * s])
 
 
 def circle(center: tuple[float, float], radius: float, w: float) -> Path:
-    """Return a circle in the plane that is run through at w [rad/s], with its derivatives."""
+    """Return a function of time t [s] for a point that goes round a circle at w [rad/s].
+
+    The function returns its position (2,) [m], velocity and acceleration.
+    """
 
     def path(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         u = np.array([np.cos(w * t), np.sin(w * t)])
@@ -97,11 +101,12 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system and a path to follow, with number of steps and initial error (actual - target).
+    """A robot (System) and a path for it to follow, with number of steps and initial error (actual - target).
 
     start: takes a task position (m,) and returns the joint values (n,) there.
 
-    third: takes q, x, y (n,) and returns the derivative (m, n) of the system's rate(q, x, y) with respect to q.
+    third: takes q, x, y (n,) and returns the derivative (m, n) with respect to q of the system's rate(q, x, y), which is (dJ/dt) y
+    while the joints move at rates x.
     """
 
     system: System
@@ -113,12 +118,12 @@ class Case:
 
 
 def one_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the derivative (1, 1) of `rate` of `one_dof` with respect to q."""
+    """Return the derivative (1, 1) with respect to q of the function `rate` of the system `one_dof`."""
     return np.array([0.375 * q**-2.5 * x * y])
 
 
 def rr_third(q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the derivative (2, 2) of `rate` of `rr_arm` with respect to q, for links of 1 m."""
+    """Return the derivative (2, 2) with respect to q of the function `rate` of the system `rr_arm`, for links of 1 m."""
     return np.array([np.sin(q), -np.cos(q)]) * x * y
 
 
@@ -135,7 +140,8 @@ def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, 
     own: dict[str, Any] = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}
     options = {**options, **own.get(name, {}), **changes}
     h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
-    with np.errstate(all="ignore"):  # a run that leaves the domain of sqrt is reported, so numpy need not warn
+    # A run that stops because sqrt(q) is undefined is reported, so numpy need not warn.
+    with np.errstate(all="ignore"):
         return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)
 
 
@@ -150,10 +156,10 @@ def known_run(name: str, gains: GainSet, key: str, start: float = 0.0, **changes
 
 
 def settled(case: Case, made: Run) -> dict[str, float]:
-    """Return four errors [m] that summarise a run, all NaN if the run stopped early.
+    """Return four tracking errors [m] that summarise a run, all NaN if the run stopped early.
 
-    They are the largest and the RMS error of the second half, the RMS error of the whole run, and the largest error between
-    samples of the second half.
+    They are the largest ("max") and the RMS error ("rms") in the second half of the run, the RMS error of the whole run
+    ("rms_all"), and the largest error between the samples of the second half ("dense").
     """
     if made.stopped:
         return dict.fromkeys(("max", "rms", "rms_all", "dense"), np.nan)

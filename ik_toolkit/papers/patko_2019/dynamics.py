@@ -8,20 +8,20 @@ import pinocchio as pin
 from ...robot.robot import Robot
 from ..report import Report
 
-# Mass [kg], length [m] and radius [m] of a link, our choice: the paper gives none
+# Mass [kg], length [m] and radius [m] of a link. They are our choice, because the paper gives none.
 MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03
-GRAVITY = (0.0, -9.81, 0.0)  # [m/s^2] gravity, which has an effect because it is in the plane of the arm
-SHIFT = np.array([0.1, -0.05])  # [rad] initial error of the joints
-STEP, STEPS = 1e-3, 4000  # time step [s], and number of steps of a run
-HEAVIER = 1.2  # ratio of the true masses to those of the controller in the second run
+GRAVITY = (0.0, -9.81, 0.0)  # Gravity [m/s^2] is in the plane of the arm, so that it loads the joints.
+SHIFT = np.array([0.1, -0.05])  # Error [rad] of the two joints at the start of a simulation.
+STEP, STEPS = 1e-3, 4000  # Time step [s] and number of steps of a simulation.
+HEAVIER = 1.2  # In the second simulation the true masses are this many times those that the controller assumes.
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def heavy_arm(mass: float = MASS) -> pin.Model:
-    """Make a model of a planar arm with two slender links in a vertical plane."""
+    """Make a Pinocchio model with masses of a planar arm with two slender links, in a vertical plane."""
     model = Robot.load("planar_2r").model.copy()
-    link = pin.Inertia.FromCylinder(mass, RADIUS, LENGTH)  # a cylinder lies along z, the links along x
+    link = pin.Inertia.FromCylinder(mass, RADIUS, LENGTH)  # Along z; it is turned below, because the links are along x.
     along_x = pin.SE3(pin.utils.rotate("y", np.pi / 2), np.array([0.5 * LENGTH, 0.0, 0.0]))
     for joint in (1, 2):
         model.inertias[joint] = along_x.act(link)

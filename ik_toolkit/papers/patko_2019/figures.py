@@ -11,11 +11,14 @@ from ...style import COLOURS, PALE
 COLOUR: dict[str, str] = dict(zip(("cv", "av", "ca", "aa2", "aa3", "aa1", "aad"), COLOURS, strict=False))
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
-FLOOR = 1e-8  # [m] lower end of the error axes; a panel names the runs that stay below it
+FLOOR = 1e-8  # Lower end [m] of the axes of errors. Runs with smaller errors are not drawn but named.
 
 
 def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
-    """Draw Fig. 9: the stable gains of method cv over (h, kappa), and of method ca over (kd, kp) for several h."""
+    """Draw Fig. 9: which gains are stable, for the paper's method cv over (h, kappa), for ca over (kd, kp) at several h.
+
+    h is the sample time [s]; kappa [1/s], kp [1/s^2] and kd [1/s] are the gains. sets: the published gains, which are marked.
+    """
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     h = np.linspace(0.002, 0.35, 600)
     left.fill_between(h, 0, 1 / h, color="#D9D9D9", lw=0)
@@ -113,7 +116,10 @@ def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str
 
 
 def draw_orders(plt: Any, steps: Sequence[float], curves: Mapping[str, Sequence[float]]) -> Any:
-    """Draw the error over h on logarithmic axes, with the slopes 2 and 3 for comparison."""
+    """Draw the tracking error over the sample time h on logarithmic axes, with the slopes 2 and 3 for comparison.
+
+    curves: by method, the errors [m] for the sample times `steps` [s].
+    """
     figure, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     for label, errors in curves.items():
         key = label.split(",")[0]
@@ -133,7 +139,7 @@ def draw_orders(plt: Any, steps: Sequence[float], curves: Mapping[str, Sequence[
 
 
 def draw_motion(plt: Any, charts: Sequence[tuple[Any, str]], sets: Mapping[str, Any], lap: float) -> Any:
-    """Draw stability charts, each with a title, and on each the published sets of gains while the sample rate changes."""
+    """Draw stability charts, each with a title, and on each a line for each published set of gains as the sample rate changes."""
     from ...show.plot import stability_map
 
     rows = len(charts) // 2
@@ -142,10 +148,10 @@ def draw_motion(plt: Any, charts: Sequence[tuple[Any, str]], sets: Mapping[str, 
     for ax, (chart, title) in zip(axes.flat, charts, strict=True):
         shades = stability_map(ax, chart)
         ax.set_title(title)
-        speed = chart.travel[0] * chart.samples[0] / lap  # mean speed of the target [m/s]
+        speed = chart.travel[0] * chart.samples[0] / lap  # Mean speed [m/s] of the target.
         for k, (label, s) in enumerate(sets.items()):
             if chart.method == "ca" and abs(s.kp / s.kd**2 - chart.shape) > 1e-9:
-                continue  # a set of gains with another shape (kp / kd^2) is not on this chart
+                continue  # A chart of this method is for one ratio kp / kd^2, so gains of another ratio are not on it.
             gain = s.kappa if chart.method == "cv" else s.kd
             ax.plot([0.0, gain], [0.0, speed], color=COLOURS[1 - k], lw=1.2, label=label)
             ax.plot(gain * s.h, speed * s.h, "o", color=COLOURS[1 - k], ms=5)

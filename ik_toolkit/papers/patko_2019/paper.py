@@ -24,7 +24,7 @@ from .figures import draw_charts, draw_errors, draw_motion, draw_orders, draw_pl
 
 
 def reproduce() -> Report:
-    """Compute the report, with everything in the paper that can be checked; it takes about half a minute."""
+    """Compute the report on this paper, with everything in it that can be checked. This takes about half a minute."""
     with Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level") as made:
         made.text(
             """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at

@@ -25,7 +25,7 @@ def gallery(plt: Any, robot: Robot) -> Any:
     q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
     goal = robot.fk(q)
     found = solve_all(robot, goal, Inspection(lift=0.22), q0=q, limits=False)
-    # Each row of pictures has one elbow posture (up or down); within a row, joints differ only by 180 degrees or a sign change.
+    # Sorted so that each row of pictures has one elbow posture, up or down; in a row angles differ by 180 degrees or in sign.
     found = sorted(found, key=lambda x: (-_skeleton(robot, x)[0][1, 2].round(6), len(robot.outside(x))))
     figure, axes = plt.subplots(2, 4, figsize=(9.5, 4.8), subplot_kw={"projection": "3d"}, layout="constrained")
     names = ("axis of joint 3", "axis of joint 4", "axis of joint 6")
@@ -73,7 +73,8 @@ def self_motion(
         for k, d in enumerate(lifts[1:-1], 1):
             found = inspection.every_branch(p, T, box, np.array([d]), out, broken)
             theta[k] = np.sort(out[:found, 0][np.abs(out[:found, 4]) < math.pi / 2])
-        for k, nearby in ((0, 1), (-1, -2)):  # Both branches of the elbow meet at the least and the largest lift.
+        # At the least and the largest lift both elbow branches meet, so the curves end at the mean of their neighbours.
+        for k, nearby in ((0, 1), (-1, -2)):
             theta[k] = np.repeat(theta[nearby].reshape(2, 2).mean(axis=1), 2)
         return 1000.0 * lifts, np.degrees(theta)
 

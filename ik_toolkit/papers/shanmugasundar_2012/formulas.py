@@ -10,15 +10,15 @@ PRINTED_POSE = {
     "n_x": "0.78", "n_y": "-0.06", "n_z": "0.62", "o_x": "-0.63", "o_y": "-0.10", "o_z": "0.77",
     "a_x": "0.02", "a_y": "-0.99", "a_z": "-0.12", "p_x": "461.54", "p_y": "87.12", "p_z": "935.16",
 }  # fmt: skip
-D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # [mm] D-H lengths d and a, from Table 2
-# The D-H parameters alpha, a and d of each joint.
+D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # The D-H lengths d_i and a_i [mm] of Table 2.
+# Table 2: the D-H parameters alpha [deg], a [mm] and d [mm] of each joint.
 TABLE_2 = ((0, 0, 530), (90, 0, 220), (90, 0, 0), (0, 290, 0), (-90, 0, 0), (0, 180, 0), (0, 45, 0))
-# Our choice of joint values [deg, mm, deg, ...], because the paper does not say where the pose was computed.
+# Joint values [deg; mm for joint 2] at which the pose of Table 2 was probably computed, because the paper prints none.
 ORIGIN = (20.0, 220.0, 20.0, 0.0, 20.0, 0.0, 20.0)
 ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
-MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # joint values of Table 3
-SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # joint values of Table 4 and Fig 8
-# Intermediate values of the calculation by hand in section 4.2.
+MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # Joint angles [deg] that the paper found by hand (Table 3).
+SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # Joint angles [deg] of the paper's program (Table 4 and Fig 8).
+# Intermediate results of the calculation by hand in section 4.2 of the paper: angles [deg], and sines.
 THETA_45, S3, THETA_67, S6, S4 = 21.721, 0.324, 23.22, 0.043, 0.018
 PI_22_7 = 22.0 / 7.0
 

@@ -100,7 +100,7 @@ def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None
     exact = paper.printed_fk(origin, paper.D2)
     table = paper.fig4(printed, paper.D2)
     t1, t3, t4, t5, t6, t7 = table
-    degrees = 180.0 / paper.PI_22_7  # the program of the paper also converts radians to degrees with 22/7 for pi
+    degrees = 180.0 / paper.PI_22_7  # Here too the paper's program uses 22/7 for pi.
     program = [f"{degrees * x:.1f}" for x in table]
     same = sum(a == f"{b:.1f}" for a, b in zip(program, paper.SOFTWARE, strict=True))
     report.number("software_angles_reproduced", same)
@@ -160,7 +160,7 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     T = robot.chain.forward(Q)[0]
     T[:, :3, 3] *= 1000.0
     every = list(itertools.product((1, -1), repeat=5))
-    # The paper gives theta_3, theta_4 and theta_6 both signs.
+    # The sign combinations that the paper gives: theta_3, theta_4 and theta_6 with either sign, the others positive.
     given = [signs for signs in every if signs[0] == signs[4] == 1]
     # For each variant: whether the true theta_1 is used, whether d1 is counted twice, whether pi - theta is used for a negative
     # sign, and the combinations of signs.

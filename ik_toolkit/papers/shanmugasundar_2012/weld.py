@@ -26,19 +26,19 @@ from ...text import length
 from ...validate import not_negative, number, positive
 from ..report import Report
 
-TURN = 2.0 * np.pi + 1e-9  # largest angle [rad] that is not taken for degrees
-# [m] that a planned lift stays away from the ends of its windows, where a joint is at a limit or the arm folds
+TURN = 2.0 * np.pi + 1e-9  # A larger angle is refused, because it was probably given in degrees instead of radians.
+# A planned lift keeps this distance [m] from the ends of its windows, where a joint is at a limit or the arm is singular.
 MARGIN = 0.002
-SEAMS = {  # two seams of 41 poses: angles [rad] and heights [m]
+SEAMS = {  # Two weld seams of 41 poses on the canister: angles [rad] around it, and heights [m].
     "girth, 80 deg at 350 mm": (np.radians(np.linspace(-40.0, 40.0, 41)), 0.35),
     "longitudinal, 50 to 650 mm": (0.0, np.linspace(0.05, 0.65, 41)),
 }
-SPEED = 0.02  # speed of the tip along the seam [m/s]
+SPEED = 0.02  # Speed of the tip along the seam [m/s].
 
 
 @dataclass(frozen=True)
 class Canister:
-    """A cylinder that stands upright: radius and height [m], and the middle of its bottom (3,), base frame [m].
+    """An upright cylinder whose welds are inspected: radius and height [m], and the middle of its bottom (3,) [m], base frame.
 
     Raises InvalidOption if a number is out of range.
     """
@@ -92,7 +92,11 @@ class Canister:
 
 @dataclass(frozen=True, eq=False)
 class WeldPlan:
-    """Plan to inspect a seam of N poses: windows of the lift for each pose, a branch (0 to 7), lifts (N,) [m], and the motion."""
+    """A plan to inspect a weld seam of N poses with the inspection robot, whose prismatic joint is called the lift.
+
+    `windows` has for each pose the ranges of the lift that reach it, `branch` (0 to 7) the posture of the arm, `lifts` (N,) [m] the
+    lift at each pose, and `path` the motion.
+    """
 
     windows: list[list[LiftWindow]]
     branch: int
@@ -108,7 +112,7 @@ class WeldPlan:
 
     @property
     def travel(self) -> float:
-        """Return the sum of the steps of the lift [m] from pose to pose, up and down, the least possible for the poses."""
+        """Return how far the lift moves in all [m], up and down, counted from pose to pose; no plan of the branch has less."""
         return float(np.abs(np.diff(self.lifts)).sum())
 
     @property
@@ -132,11 +136,12 @@ class WeldPlan:
 
 
 def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, margin: float = MARGIN) -> WeldPlan:
-    """Plan the inspection of a seam with the least travel of the lift (`least_travel`), and certify the motion between its poses.
+    """Plan how the robot inspects a weld seam so that its prismatic joint, the lift, moves least; return a WeldPlan.
 
-    Between the poses rows are inserted as by `solve_path`. Of branches with the same travel, the one whose other joints move least
-    is chosen. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is not ruled out. Its
-    deviation is that from the straight motion between two poses: a girth weld of few poses has its corners cut off.
+    The motion between the poses is made and checked as by `solve_path`. Of branches with the same travel of the lift, the one whose
+    other joints move least is chosen. The path's status is INCOMPLETE where no motion joins two poses, COLLISION where contact is
+    not ruled out. Its deviation is that from the straight motion between two poses, which cuts corners of a girth weld with few
+    poses.
 
     Args:
         robot: An arm that 'inspection' solves.
@@ -174,7 +179,10 @@ def inspect_weld(robot: Robot, poses: Any, canister: Canister | None = None, mar
 
 
 def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionModel | None = None) -> PathResult:
-    """Return the motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), with bounds on it between them."""
+    """Return the joint motion through solutions q (N, n) [rad or m] of poses (N, 4, 4), checked between the poses.
+
+    The result has proven bounds on how far the tip leaves the straight motion, and on contact with the shapes of `model`.
+    """
     plan, kinds, T = Solver(robot, "lm").plan_for((KIND.pose,)), (KIND.pose,), poses[:, None]
     curve, at, cut = densify(plan, kinds, q, T, [], STEP, TOLERANCE)
     curve = np.clip(curve, robot.lower, robot.upper)
@@ -191,27 +199,28 @@ def certified(robot: Robot, poses: np.ndarray, q: np.ndarray, model: CollisionMo
 
 
 def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dict[int, np.ndarray]:
-    """Return for each branch the lifts (N,) [m] with the least travel, the sum of |d_i+1 - d_i|.
+    """Return for each branch the values (N,) [m] of the prismatic joint, the lift, that make its travel least.
 
-    Each d_i lies in a window of pose i that is shortened by the margin at both ends, and the windows of successive poses must
-    overlap. A branch without such a sequence is left out. The minimum is exact: between the window ends the sum is piecewise linear
-    in the lifts, so some best sequence consists of window ends, and a shortest path through all window ends finds it. Of several
-    best sequences, the one is taken whose last lift is nearest the middle of all best last lifts. Backwards from there the lift
-    stays where it is as long as that adds no travel. Nothing is said about the lift between the poses, nor about motions that
-    change the branch.
+    The travel is the sum of |d_i+1 - d_i| over the poses i of a seam. `windows` has for each pose the ranges of the lift in which
+    it is reached. Each d_i lies in a window of pose i that is shortened by the margin at both ends, and the windows of successive
+    poses must overlap. A branch without such a sequence is left out. The minimum is exact: the sum is piecewise linear in the
+    lifts, so some best sequence consists of window ends, and a shortest path through all window ends finds it. Of several best
+    sequences, the one is taken whose last lift is nearest the middle of all best last lifts. Backwards from there the lift stays
+    where it is as long as that adds no travel. Nothing is said about the lift between the poses, nor about motions that change the
+    branch.
     """
     made = {}
     for k in range(8):
         ends = [[(w.low + margin, w.high - margin) for w in found if w.branch == k] for found in windows]
         rows = [np.array([one for one in row if one[0] <= one[1]]).reshape(-1, 2) for row in ends]
         c = np.unique(np.concatenate(rows))
-        # candidates are the ends of all windows; the midpoints between them help to choose among equal sequences
+        # The candidates for lifts are the ends of all windows. The midpoints between them help to choose among equal sequences.
         c = np.sort(np.concatenate([c, 0.5 * (c[1:] + c[:-1])]))
         inside = [(row[:, :1] <= c) & (c <= row[:, 1:]) for row in rows]
         joined = [(a[:, :1] <= b[:, 1]) & (b[:, 0] <= a[:, 1:]) for a, b in pairwise(rows)]
         costs = [np.where(inside[0], 0.0, np.inf)]
         for mask, link in zip(inside[1:], joined, strict=True):
-            # least cost of the sequences that end at each candidate
+            # For each candidate, the least travel of all sequences that end at it.
             base = np.where(link.T[:, :, None], costs[-1], np.inf).min(axis=1, initial=np.inf)
             up = np.minimum.accumulate(base - c, axis=1) + c
             down = np.minimum.accumulate((base + c)[:, ::-1], axis=1)[:, ::-1] - c
@@ -222,7 +231,7 @@ def least_travel(windows: list[list[LiftWindow]], margin: float = MARGIN) -> dic
         w, j = ties[np.argmin(np.abs(c[ties[:, 1]] - 0.5 * (c[ties[:, 1].min()] + c[ties[:, 1].max()])))]
         values = [c[j]]
         for cost, link in zip(costs[-2::-1], joined[::-1], strict=True):
-            # among equal sequences, the one in which the lift rests is preferred
+            # The factor is slightly above 1, so that of equal sequences the one in which the lift stays at rest is chosen.
             step = (1.0 + 1e-9) * np.abs(c - values[-1])
             total = np.where(link[:, w, None], cost, np.inf) + step
             w, j = np.unravel_index(np.argmin(total), total.shape)

@@ -39,7 +39,10 @@ def odd(element: object, problem: str, advice: str, line: int, at_load: bool = F
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """Return as sentences the findings that loading logs; elements with the same advice share one. lines: name their lines."""
+    """Return a sentence for each finding that is logged when a robot is loaded; findings with the same advice share one.
+
+    lines: whether to give line numbers of the file.
+    """
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:

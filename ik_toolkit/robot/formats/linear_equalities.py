@@ -36,7 +36,7 @@ class Solved(NamedTuple):
     against: list[Equation]
 
     def free(self, terms: dict[int, float]) -> tuple[dict[int, float], float]:
-        """Replace the dependent joints in a linear combination of joint values; return its new coefficients and a constant."""
+        """Rewrite a linear combination of joint values in independent joints only; return its new coefficients and constant."""
         found: dict[int, float] = {}
         constant, size = 0.0, 0.0
         for joint, c in terms.items():
@@ -56,7 +56,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
     columns = [*first, *others]  # Elimination expresses a joint by joints that come later in this order.
     place = {joint: i for i, joint in enumerate(columns)}
-    # by pivot column: the coefficients of an equation, then its right-hand side
+    # For each pivot column, the row of the reduced system: coefficients of the joints, then the right-hand side.
     rows: dict[int, np.ndarray] = {}
     against: list[Equation] = []
     for one in equations:
@@ -81,7 +81,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
         rows[pivot] = row
     tied: dict[int, tuple[int, float, float]] = {}
     held: dict[int, float] = {}
-    # joints that depend on several others at once: the coefficients of these, and an offset
+    # Joints that depend on several others at once, each with the coefficients of these and an offset.
     groups: list[tuple[int, np.ndarray, float]] = []
     for pivot, row in rows.items():
         joint, offset = columns[pivot], float(row[-1])
@@ -106,7 +106,10 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
 
 
 def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
-    """Solve again without the equations in `some`, which no configuration satisfies, or those tied to them by joints."""
+    """Solve linear equations without those in `some`, which cannot be satisfied, and without all that share joints with them.
+
+    The equations that were left out are listed in `left` of the result.
+    """
     bad = _connected(equations, some)
     rest = solve_linear([one for one in equations if one not in bad])
     return rest._replace(left=[*rest.left, *bad])

@@ -40,7 +40,10 @@ class Followers(NamedTuple):
 
 @functools.lru_cache(maxsize=4)
 def followers(text: str | None) -> Followers:
-    """Return the mimic joints of a URDF text (None: no joints), and an order of all joints in which their leaders come first."""
+    """Return the mimic joints of a URDF text, and an order of all joints in which Pinocchio can read them: leaders first.
+
+    Without a text (None) there are no joints.
+    """
     items = parse(text) if text else []
     tied, loose = ties(items)
     if not tied:
@@ -49,8 +52,8 @@ def followers(text: str | None) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        # In every order some mimic joints precede their leader, so the leader exchanges roles with one of them: first only in the
-        # groups of these mimic joints, then, if that is not enough, in all groups.
+        # If in every order some mimic joints precede their leader, the leader and one of them exchange roles. This is tried first
+        # for the leaders concerned, then for all.
         if late:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
@@ -100,12 +103,12 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        # `walk` goes from leader to leader, up to a joint that is done already or mimics no other.
+        # `walk` lists a mimic joint, its leader, the leader of that, and so on, up to a joint that is done or mimics no other.
         walk = [name]
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
-                # The joints from `leader` on mimic themselves in a circle; those before it in `walk` only lead to the circle.
+                # In `walk` the joints from `leader` on mimic each other in a circle; those before it are not part of the circle.
                 loop = walk[walk.index(leader) :]
                 del walk[walk.index(leader) + 1 :]
                 loose |= {name: f"mimics itself through '{given[name].get('joint', '')}'" for name in loop}
@@ -135,7 +138,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
 
 
 def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
-    """Return the ties with a new leader in place of each of `leaders`: the first in `order` of the joints that follow it.
+    """Return the mimic relations after each of `leaders` has exchanged roles with the first joint in `order` that follows it.
 
     The motion is the same: q_leader = (q_follower - offset) / ratio. A mimic joint with ratio 0 cannot become a leader.
     """
@@ -167,13 +170,13 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     branches: dict[str, list[str]] = {}
     for name in sorted(joints):
         branches.setdefault(ends[name][0], []).append(name)
-    # by first joint of a branch: the branches of the same link that must come before it
+    # For the first joint of a branch, the branches of the same link that must be read before it.
     before: dict[str, set[str]] = {}
     loose: dict[str, str] = {}
 
     def path(joint: str) -> list[str]:
         walk: dict[str, None] = {}
-        # `walk` ends at a joint that it has already, because links may be joined in a circle (an error reported elsewhere).
+        # Links may be joined in a circle, which is reported elsewhere, so the loop ends at a joint that it has met before.
         while joint and joint not in walk:
             walk[joint] = None
             joint = above.get(ends[joint][0], "")

@@ -56,7 +56,7 @@ def read_mjcf(source: str | Path, package_dirs: Iterable[str | Path] = (), *_: A
 def _compile(xml: str, name: str) -> dict[str, Any]:
     """Compile MJCF text in a subprocess and return the model as MuJoCo describes it, which must not be changed."""
     silent = "it crashed MuJoCo, or took too much time or memory"
-    # MuJoCo writes its log to the current folder, so the process gets one of its own.
+    # MuJoCo writes its log to the current folder, so the process runs in a temporary folder of its own.
     with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:
         answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
     if "error" in answer:
@@ -106,8 +106,10 @@ class _Writer:
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # Each function turns qpos of a keyframe into pairs of joint name and value.
-        # Of the five joints that replace a limited ball joint, the last two mimic the first two: (leader, ratio, offset) by name.
+        # Functions that each take the vector qpos of an MJCF keyframe and return pairs of joint name and value.
+        self.values: list[Any] = []
+        # The leader, ratio and offset of each mimic joint that is made for a ball joint with a limited range. Such a joint is
+        # replaced by five joints, of which the last two mimic the first two.
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
@@ -244,7 +246,7 @@ class _Writer:
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
             return name, "prismatic", T, axis, limits or (-ENDLESS, ENDLESS)
-        # A tendon may limit one side only, so the other limit is infinite.
+        # A joint limited by a tendon may have a limit on one side only, and the other is infinite, which URDF cannot hold.
         if limits is not None and not np.isfinite(limits).all():
             limits = np.nan_to_num(limits, posinf=ENDLESS, neginf=-ENDLESS).tolist()
         return name, "revolute" if limits else "continuous", T, axis, limits

@@ -15,7 +15,7 @@ from ..constraints import Constraint, End, LinearLength, Loop, Relation
 from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
-JOINT, PULLEY, SITE = 1, 2, 3  # the kinds of parts of a tendon in MuJoCo; others are shapes around which it runs
+JOINT, PULLEY, SITE = 1, 2, 3  # MuJoCo's numbers for the parts of a tendon; others mean shapes around which it runs.
 
 
 class Ties(NamedTuple):
@@ -34,7 +34,10 @@ class Ties(NamedTuple):
 
 
 class TieReader:
-    """Converts the equalities and tendons of a model that MuJoCo compiled; `joints` and `bodies` are the names, in its order."""
+    """Converts the equalities and tendons of a compiled MuJoCo model to mimic joints, fixed joints, limits and constraints.
+
+    `joints` and `bodies` are the names of the model's joints and bodies, in MuJoCo's order.
+    """
 
     def __init__(self, model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> None:
         self.model, self.joints, self.bodies = model, joints, bodies

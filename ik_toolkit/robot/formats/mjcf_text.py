@@ -14,7 +14,8 @@ MAX_INCLUDES = 200  # Limit on the number of included files. The largest model o
 KEPT = ("compiler", "default", "asset", "worldbody", "contact", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
-# Every mesh file is replaced by this tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
+# Every mesh file is replaced by the vertices of this tetrahedron, so that MuJoCo opens no files. MuJoCo moves a mesh to its
+# centre of mass, but it reports the offset, which is then undone.
 TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 
 
@@ -131,7 +132,7 @@ def _check_copies(root: ET.Element) -> None:
     """Raise ModelError if <replicate> would make more elements than any robot has."""
     if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
         raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
-    # MuJoCo would take seconds to compile so many elements, only for them to be refused afterwards.
+    # A model with too many elements is refused before MuJoCo compiles it, which would take seconds.
     for tag in ("body", "joint", "geom", "site"):
         if sum(1 for world in root.iter("worldbody") for _ in world.iter(tag)) > MAX_COPIES:
             raise ModelError(f"it has more than {MAX_COPIES:,} elements <{tag}>; it is not read")
@@ -145,7 +146,7 @@ def _copies(element: ET.Element) -> int:
     try:
         return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return inside  # MuJoCo reports the invalid count.
+        return inside  # A count that is no number needs no error here, because MuJoCo reports it.
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
@@ -154,7 +155,7 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
         found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
-        # The last two of these attributes occur in older files; today MuJoCo refuses them.
+        # exactmeshinertia and convexhull occur in older files, and MuJoCo refuses them today.
         for attribute in ("meshdir", "texturedir", "assetdir", "strippath", "exactmeshinertia", "convexhull"):
             compiler.attrib.pop(attribute, None)
     return found
@@ -177,13 +178,13 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
             flat.notes.append(f"a <{child.tag}> of <contact> is left out")
             continue
         if child.tag == "geom" and "mesh" in child.attrib:
-            # For a shape of another type with a mesh MuJoCo would fit the shape to the placeholder of the mesh.
+            # If a geom has a mesh and another type, such as box, MuJoCo would fit a box to the placeholder of the mesh.
             if child.get("type", "mesh") != "mesh":
                 flat.notes.append(
                     f"mesh '{child.get('mesh')}' itself is read where a {child.get('type')} is fitted to it"
                 )
             child.set("type", "mesh")
-        # A material also stands in <default>, where it can name a texture too.
+        # Materials are not only in <asset> but also in <default>, and there too they can name a texture file.
         if asset or child.tag == "material":
             _asset(child, flat, where)
         for attribute in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):

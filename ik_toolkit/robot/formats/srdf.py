@@ -22,10 +22,11 @@ from .urdf import is_text, source_text
 from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
-BESIDE = ("", "../srdf")  # folders in which the SRDF is searched for, relative to that of the URDF
-MOST = 64  # at most this many SRDF files are read in each folder
+BESIDE = ("", "../srdf")  # Folders in which the SRDF of a robot is searched for, relative to that of its URDF.
+MOST = 64  # At most this many SRDF files are read in each folder, to bound the time.
 SHOWN = 3  # A remark lists at most this many names.
-State = Mapping[str, tuple[float, ...]]  # joint values [rad or m] by name of joint
+# A configuration: the values [rad or m] of each joint by name. Most joints have one value.
+State = Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class Srdf:
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # A chain carries the chains that begin where it ends, so that point is not an end of the group.
+        # The tip of a chain where another chain of the group begins is no end of the group.
+        if chains:
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:

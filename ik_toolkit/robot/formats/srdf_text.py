@@ -9,8 +9,8 @@ from typing import Any
 from ...errors import ModelError
 from .urdf import HasMacros, InnerElement, Item, attribute_numbers, check_names, walk
 
-MEMBERS = ("link", "joint", "chain", "group")  # the elements that a <group> may contain
-# By element: the attributes that it must have. A <group_state> that lacks one is left out with a remark; others are errors.
+MEMBERS = ("link", "joint", "chain", "group")  # The elements that a <group> of an SRDF may contain.
+# For each element of an SRDF, the attributes without which it is an error. A <group_state> without a name is only left out.
 NEEDED = {
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
@@ -57,7 +57,7 @@ def contents(text: str) -> dict[str, Any]:
     groups: dict[str, Group] = {}
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
-    lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
+    lost: dict[tuple[str, str], str] = {}  # By (configuration, group): why this configuration is left out.
     joints: dict[str, list[str]] = {"passive_joint": [], "virtual_joint": []}
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []

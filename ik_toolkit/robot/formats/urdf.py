@@ -33,17 +33,17 @@ class UrdfCaps(NamedTuple):
 
 
 CAPS = UrdfCaps()
-BLANK = "\ufeff \t\r\n"  # characters that may precede the first < of XML: blanks and the byte order mark
+BLANK = "\ufeff \t\r\n"  # Characters that may precede the first < of XML: the byte order mark, and blanks.
 ENDLESS = 1e16  # A limit of position, velocity or effort of this size means "no limit".
-# by joint type: its number of degrees of freedom
+# The number of degrees of freedom of each joint type of URDF.
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-SIZES = {  # by shape: its attributes with sizes, and how many numbers each of them holds
+SIZES = {  # For each shape, its attributes with sizes, and how many numbers each of them holds.
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
 }
-NUMBERS = {  # by element: its attributes with numbers, and how many numbers each of them holds
+NUMBERS = {  # For each element, its attributes with numbers, and how many numbers each of them holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "mimic": {"multiplier": 1, "offset": 1},
@@ -58,7 +58,7 @@ ITEMS = ("link", "joint", "material")
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
-NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements with an attribute that is a name
+NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # Elements of URDF with an attribute that is a name.
 
 
 class InnerElement(NamedTuple):
@@ -329,7 +329,7 @@ MARKS = (  # These are byte order marks; UTF-32 is first, because its mark begin
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
     (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
 )  # fmt: skip
-ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names of encodings in files, and Python's names for them
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # Encodings that Python knows by another name than XML files.
 DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
 # Encodings that are accepted: those of text, without Python's codecs that unpack data, such as zip or hex.
 TEXTS = re.compile(

@@ -173,7 +173,7 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
-ELEMENTS: Mapping[str, tuple[str, ...]] = {  # by element: the elements that it may contain
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # For each element, the elements that it may contain.
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
@@ -192,7 +192,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     **{tag: tuple(sizes) for tag, sizes in SIZES.items()},
     "mesh": ("filename", "scale"),
 }
-# by element: its attributes. No software adds its own to these elements, so an unknown attribute is probably misspelled.
+# No software adds attributes of its own to these elements of URDF, so an unknown attribute of one is probably misspelled.
 CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")

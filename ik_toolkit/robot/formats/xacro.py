@@ -15,7 +15,7 @@ from .sandbox import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
 MEMORY = 1_000_000_000  # Memory cap [bytes] of the process that expands a file. Large robots take 0.1 GB.
-# Cap on the processor time [s] of that process, whose evaluation steps are limited too. Robots take 0.1 to 0.3 s.
+# Cap on the processor time [s] of the process that expands a xacro file. Robots take 0.1 to 0.3 s.
 SECONDS = 3
 ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 

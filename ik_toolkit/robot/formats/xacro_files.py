@@ -68,7 +68,7 @@ class Files:
 
         for unit, factor in UNITS.items():
             Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        # A date (such as that of a calibration) and binary data stay text.
+        # Dates (such as that of a calibration) and binary data are kept as text, because expressions may not hold such objects.
         for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:

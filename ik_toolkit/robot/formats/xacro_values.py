@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# by type of syntax tree node that is refused: its name in messages
+# Kinds of Python expression that are not allowed in xacro files, with the names that messages give them.
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -79,7 +79,7 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            # The value is a namespace, the only type that was not checked before.
+            # All other types were checked while the value was computed; only a namespace of xacro must be refused here.
             if isinstance(value, Mapping) and type(value) is not dict:
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value

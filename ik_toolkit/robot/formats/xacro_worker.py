@@ -27,7 +27,7 @@ from ik_toolkit.robot.formats.xacro_values import LARGEST, LONGEST, Evaluator, F
 from ik_toolkit.robot.packages import find_package
 
 FILES = 1_000  # An <xacro:include> with wildcards reads at most this many files.
-# It matches the parameters of a macro as the expression in xacro does, but without nested repetition, which can take exponential
+# A regular expression for the parameters of a xacro macro. That of xacro itself has nested repetition, which can take exponential
 # time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
@@ -62,7 +62,7 @@ class GivenArguments(dict):
 
 
 class Expansion:
-    """Runs the module xacro with all its functions replaced that would evaluate Python or read files without limits."""
+    """Runs the Python module xacro, with safe functions for those that would evaluate Python or read files without limits."""
 
     def __init__(self, job: dict) -> None:
         """Store the job and replace the functions of xacro."""
@@ -72,9 +72,9 @@ class Expansion:
         self.job, self.xacro = job, xacro
         self.files = Files(job["folders"])
         self.evaluator, self.arguments = Evaluator(), GivenArguments(job["arguments"])
-        self.known: dict[str, str] = {}  # by name: the folders of the ROS packages found so far
+        self.known: dict[str, str] = {}  # The folders of the ROS packages found so far, by name of package.
         self.written = 0
-        # by id() of the body of a macro: the body, and what a copy of it costs [steps]
+        # For each macro, by id() of its body: the body, and how many evaluation steps a copy of it counts.
         self.bodies: dict[int, tuple[Any, int]] = {}
         plain = library(self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
@@ -133,7 +133,7 @@ class Expansion:
         return {
             "load_yaml": self.load_yaml,
             "abs_filename": self.absolute,
-            # `dotify` of xacro makes a dict accept d.key, which here every dict does.
+            # xacro's `dotify` lets d.key stand for d["key"]. Here every dict allows that, so there is nothing to do.
             "dotify": lambda value: value,
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
@@ -142,12 +142,12 @@ class Expansion:
         }
 
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
-        """Replace `eval_all` of xacro, which expands the children of an element: first add their number to the steps."""
+        """Replace `eval_all` of xacro: expand the children of an element, which count as steps towards a limit for the file."""
         self.evaluator.spend(4 + len(node.childNodes))
         self.original["eval_all"](node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """Replace `resolve_macro` of xacro: return a macro, and add the cost of copying its body to the steps."""
+        """Replace `resolve_macro` of xacro: return a macro. Copying its body counts as steps towards a limit for the file."""
         try:
             found = self.original["resolve_macro"](name, macros, symbols)
         except KeyError:
@@ -162,14 +162,14 @@ class Expansion:
         return found
 
     def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        """Replace `replace_node` of xacro: put nodes in the place of one, and add the cost of that to the steps."""
+        """Replace `replace_node` of xacro: put nodes in the place of one, which counts as steps towards a limit for the file."""
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
         self.original["replace_node"](node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
-        """Replace `eval_text` of xacro: evaluate a text with ${...} and $(...), and add its cost to the steps of the file."""
+        """Replace `eval_text` of xacro: evaluate a text with ${...} and $(...), within limits on its length and steps."""
         if "$" not in text:
             return text
         if len(text) > LONGEST:
@@ -210,7 +210,7 @@ class Expansion:
         return self.known[name]
 
     def env(self, name: str) -> str:
-        """Return the value of $(env NAME), which is an argument, not an environment variable."""
+        """Return the value of $(env NAME): the argument of this name that the user gave, never an environment variable."""
         if name not in self.arguments:
             raise Refused(
                 f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
@@ -248,7 +248,7 @@ class Expansion:
             self.xacro.filestack.pop()
             raise self.xacro.XacroException(exc=error) from None
         for element in document.getElementsByTagName("xacro:arg"):
-            # xacro refuses an argument without a default even if its value is given.
+            # xacro refuses an argument without a default even if its value is given, so an empty default is added.
             if not element.hasAttribute("default"):
                 if element.getAttribute("name") in self.arguments:
                     element.setAttribute("default", "")
@@ -329,7 +329,7 @@ def _main() -> None:
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
-    # A loop in xacro is a macro that calls itself, and each pass through it nests ten Python calls deeper.
+    # Files write a loop as a macro that calls itself. Each pass nests ten Python calls deeper, so the usual limit is too low.
     sys.setrecursionlimit(3000)
     print(json.dumps(run_job(job)))
 

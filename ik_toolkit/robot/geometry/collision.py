@@ -21,7 +21,7 @@ from .distance import Clearance, Near
 from .link_shapes import placed
 from .surroundings import PlacedShape, Surroundings
 
-SAMPLES = 8  # At this many random configurations it is found which links move relative to each other.
+SAMPLES = 8  # Links that keep their relative pose at this many random configurations count as fixed to each other.
 # Two parts count as fixed to each other if no entry of their relative pose (4, 4) [m] varies by more than this.
 STILL = 1e-9
 
@@ -125,7 +125,7 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        # apart[a, b] tells whether joints a and b move relative to each other.
+        # The entry apart[a, b] tells whether the parts moved by joints a and b can move relative to each other.
         apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
@@ -157,7 +157,7 @@ class CollisionModel(Surroundings):
         leave_out([*self.ignore, *self.allowed])
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
-        # A pair that touches only at home or only at zero may be a real contact, for example of a folded arm.
+        # Only pairs that touch both at home and at zero are excluded. Contact at one of the two may be real, as of a folded arm.
         if not robot.outside(zero):
             touching = {pair: None for pair in self.collisions(zero) if pair in touching}
         self.excluded = tuple(touching)
@@ -245,7 +245,7 @@ class CollisionModel(Surroundings):
         """
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
-        # The default requests of Pinocchio start from the result of the last call, so results could depend on earlier calls.
+        # Pinocchio's default requests start from the result of the last call. These do not, so results depend on no earlier call.
         for k, margin in enumerate((margins + more).tolist()):
             found.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)

@@ -79,9 +79,10 @@ def is_flat(shape: Any) -> bool:
 
 
 def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
-    """Return the nearest joint above `joint` (ids) that is in `owners`, the joints that carry shapes; -1 if there is none.
+    """Return the nearest ancestor of a joint that moves links with shapes, or -1 if there is none.
 
-    So links with only links without shapes between them count as adjacent.
+    Two links count as adjacent if there are only links without shapes between them. All joints are given by their ids; `owners`
+    has those that move links with shapes.
     """
     while joint > 0:
         joint = model.parents[joint]

@@ -26,11 +26,11 @@ from ...kernel.clearance import (
 from ..probe import mimics
 from .convex import hull_of
 
-# held while coal computes a hull, because it stores the hull in the mesh, which other threads may use
+# A lock for the computation of convex hulls, because coal stores a hull in its mesh, which other threads may use.
 BUILDING = threading.Lock()
-# The nearest points of two shapes may jump, for example from one end of an edge to the other. So up to CORNERS pairs of points that
-# were nearest before are kept for each pair of shapes, while their distance is at most NEARBY [m] above the least one. Points
-# within APART [m] of each other count as one.
+# While a robot moves, the nearest points of two shapes may jump, as from one end of an edge to the other. So for each pair of
+# shapes up to CORNERS pairs of earlier nearest points are remembered, as long as their distance is at most NEARBY [m] above the
+# least. Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
@@ -74,10 +74,10 @@ def _thick(points: np.ndarray) -> bool:
 
 
 class Clearance:
-    """Measures the distances of all tested pairs of a CollisionModel; it belongs to one thread.
+    """Measures the distances between all tested pairs of shapes of a CollisionModel; each thread needs its own.
 
-    For each of the P pairs, `a` and `b` are its shapes, `own` says whether both are the robot's, and `home` is the distance at home
-    [m]. `exact` says whether their hulls meet at home, so that their exact shapes are always measured.
+    For each of the P pairs, `a` and `b` are the indices of its shapes, `own` says whether both are the robot's, and `home` is their
+    distance [m] at the home configuration. `exact` says whether their hulls touch there, so that the exact shapes are measured.
     `coordinates` (E,) is the index in q of each moving joint.
     """
 
@@ -94,7 +94,7 @@ class Clearance:
             self._hulls.createData(),
         )
         shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
-        # The references to joint placements in pin.Data are kept, because making one takes three times as long as reading it.
+        # References to the joint placements in pin.Data are made once, because making one takes three times as long as reading it.
         self._frames = list(self._data.oMi)
         self._hull_found, self._exact_found = (
             [data.distanceResults[k] for k in range(len(pairs))] for data in (self._hull_data, self._exact_data)
@@ -104,7 +104,8 @@ class Clearance:
         robots = np.array([name not in model.obstacles for name in self._names])
         self.own = robots[self.a] & robots[self.b]
         solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
-        self._surface = solid[self.a] | solid[self.b]  # whether a pair has a non-convex mesh, whose hull is not exact
+        # Whether a pair has a mesh that is not convex, so that the distance of the hulls is not exact.
+        self._surface = solid[self.a] | solid[self.b]
         self._joints(shapes)
         self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
@@ -130,7 +131,7 @@ class Clearance:
             shape.geometry.computeLocalAABB()
             self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
             self._size[k] = shape.geometry.aabb_radius
-        # A shape that never moves may be an infinite plane, so its radius is not used.
+        # The radius bounds how far a turning joint moves a shape. One that never moves may be an infinite plane and gets radius 0.
         self._radius = np.where(moved.any(axis=1), self._size, 0.0)
 
     def name(self, k: int) -> tuple[str, str]:
@@ -212,7 +213,7 @@ class Clearance:
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
-        """Compute joint Jacobians and shape positions at the configuration placed last; the methods below need them."""
+        """Compute joint Jacobians and shape positions at the configuration of the last `place`, for the methods below."""
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
@@ -254,7 +255,7 @@ class Clearance:
             of the pairs ks, then stored ones.
         """
         points, each = self.points(ks), np.arange(len(ks))
-        # placements (K, 2, 4, 4) of the joints that move the two shapes of each pair
+        # Poses (K, 2, 4, 4) of the joints that move the two shapes of each of K pairs.
         at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]
         turn, origin = at[..., :3, :3], at[..., :3, 3]
         own = ((points - origin)[..., None, :] @ turn)[..., 0, :]
@@ -297,7 +298,8 @@ class Clearance:
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
-        normals[self._on_surface[ks]] = 0.0  # No plane need separate shapes that are not convex, so none is used.
+        # The plane perpendicular to the shortest distance separates two convex shapes. It may not separate others: they get none.
+        normals[self._on_surface[ks]] = 0.0
         out = np.empty(len(ks))
         pairs = Separation(ks, normals, distances)
         free_until(self._parts, pairs, levers, BrakingPath(*path[:-1]), path[-1], out)

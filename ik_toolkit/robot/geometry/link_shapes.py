@@ -25,7 +25,7 @@ from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_pack
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
 ROLES = {"surface": "collision", "look": "visual"}
-Problems = list[tuple[str, str]]  # an element of the URDF as text, and what is wrong with it
+Problems = list[tuple[str, str]]  # Faulty shapes: for each an element of the URDF as text, and what is wrong with it.
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     files = {}
     for item in items:
         own = [given for given in item.shapes if given["role"] == role]
-        # A <collision_checking> element names the cylinders that count as capsules and the meshes that count as convex.
+        # The <collision_checking> of a link names the cylinders that count as capsules and the meshes that count as convex.
         asked = {(part.tag, part.attributes.get("name")) for part in item.inside}
         for k, given in enumerate(own):
             try:
@@ -164,7 +164,7 @@ def problems_sentence(problems: Problems) -> str:
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
     """Return a pin.GeometryModel of the shapes on the links of a model; `forms` are the coal objects made from them."""
     geometry = pin.GeometryModel()
-    # Frames of a joint and a link may have the same name; the shape is on the link.
+    # A joint and a link may have the same name. Links come last here, so that the name means the link, which has the shape.
     order = sorted(enumerate(model.frames), key=lambda one: one[1].type == pin.FrameType.BODY)
     frames: dict[str, int] = {frame.name: i for i, frame in order}
     for shape, form in zip(shapes, forms, strict=True):
@@ -213,7 +213,7 @@ def _shape(
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
     material = given.get("material", {}).get("name", "")
-    # A material's name refers to the first colour given for that name.
+    # Shapes may give a material by name only; its colour is then the first that the file gives for this name.
     color = colors.get(material) or _color(given.get("color", {}))
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     if kind != "mesh":

@@ -21,10 +21,11 @@ sys.path.append(str(Path(__file__).parents[3]))
 from ik_toolkit.robot.formats.sandbox import limit
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
-REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
+REPEATED = 100_000  # Limit on the nodes of a mesh file, in which an instance of a node counts as a copy of it.
 # Error messages of coal have many lines; those that begin with these words do not say what is wrong.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# Packages that trimesh imports if it finds them. No mesh needs them, and importing them takes three times as long as the rest.
+# Packages that trimesh would import if they are installed. They are hidden from it, because no mesh needs them and importing them
+# takes three times as long as all other imports.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
@@ -38,7 +39,7 @@ class References:
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # sentences on references outside the allowed folders, which were not followed
+        self.refused: list[str] = []  # Sentences on references that lead out of the allowed folders and were not read.
         self.last = ""
 
     def get(self, name: str) -> bytes:
@@ -67,7 +68,7 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Raise MeshRefused for a .dae file with entity declarations or nodes that contain themselves or are nested too deep."""
     stack: list[str] = []
-    # by id of a node or scene: the ids of the nodes in it, and of those of which it has instances
+    # For each node or scene, by id: the ids of the nodes in it, and of the nodes of which it has instances.
     inside: dict[str, list] = {}
     parser = expat.ParserCreate()
 
@@ -95,9 +96,9 @@ def check_xml(raw: bytes) -> None:
 
 
 def check_instances(inside: dict[str, list]) -> None:
-    """Raise MeshRefused for nodes that contain themselves, are nested too deep, or expand to too many by instances of instances.
+    """Raise MeshRefused if nodes of a mesh file contain themselves, are nested too deep, or expand to too many nodes.
 
-    `inside` maps the id of a node to the ids of the nodes in it, of which instances are one.
+    `inside` maps the id of a node to the ids of the nodes in it. An instance of another node counts as a copy of that node.
     """
     size: dict[str, int] = {}
 
@@ -117,7 +118,10 @@ def check_instances(inside: dict[str, list]) -> None:
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Return a .gltf file with the contents of its buffer files in place of their paths, as a reader would open any path."""
+    """Return a .gltf file with the contents of its buffer files in place of their paths.
+
+    Otherwise the library that reads it would open the paths, which may be outside the allowed folders.
+    """
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")
@@ -177,7 +181,7 @@ def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
         get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
         write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
-    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here.
+    warnings.simplefilter("ignore")  # trimesh warns about materials, which are not used here.
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]

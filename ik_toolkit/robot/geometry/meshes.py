@@ -22,19 +22,19 @@ from ..formats.sandbox import run
 from ..packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-# Cap on processor time [s] for each file. The largest file of example-robot-data takes 1.6 s in all.
+# Processor time [s] allowed for reading a mesh file, whatever its size. The largest of example-robot-data takes 1.6 s.
 SECONDS = 4.0
 
 
 class MeshCaps(NamedTuple):
-    """Limits on the mesh files of a robot, so that none exhausts the computer; "the largest" is a file of example-robot-data."""
+    """Limits on the mesh files of a robot, so that reading them does not exhaust the computer's memory or time."""
 
-    bytes: int = 100_000_000  # Limit on the bytes of a file; the largest has 29 MB.
-    triangles: int = 2_000_000  # Limit on the triangles of a file; the largest has 351,394.
+    bytes: int = 100_000_000  # Limit on the size of a file. The largest in example-robot-data has 29 MB.
+    triangles: int = 2_000_000  # Limit on the triangles of a file. The most in example-robot-data are 351,394.
     meshes: int = 1_000  # Limit on the number of different mesh files of a robot.
     packages: int = 50  # Limit on the number of ROS packages that a robot's meshes come from.
-    memory: int = 2_000_000_000  # Limit on the memory [bytes] of the reading process; the largest file takes 0.5 GB.
-    seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
+    memory: int = 2_000_000_000  # Limit on the memory [bytes] of the reading process; a file of 29 MB takes 0.5 GB.
+    seconds_per_mb: float = 2.0  # Processor time [s] allowed for each MB of a file, in addition to SECONDS.
     crashes: int = 5  # Limit on the number of reading processes that may crash for one robot.
     kept: int = 256  # Number of files whose triangles are cached.
 
@@ -63,7 +63,8 @@ class Mesh:
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # a cache; its keys are kind, path, size, modification time and allowed folders
+# A cache of the meshes read so far; its keys are kind, path, size, modification time and allowed folders.
+_read: dict[tuple, Mesh] = {}
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
@@ -93,7 +94,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
-    if not separator and name.startswith("file:/"):  # an absolute path without a host, as in file:/tmp/arm.stl
+    if not separator and name.startswith("file:/"):  # A file URL may have no host, as in file:/tmp/arm.stl.
         scheme, separator, rest = name.partition(":")
     if not name or "\0" in name:
         raise ModelError("has no usable file name")
@@ -110,7 +111,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         ]
     else:
         places = [os.path.join(folder, rest if separator else name) for folder in folders]
-    places += [unquote(place) for place in places if "%" in place]  # URLs write a space as %20
+    places += [unquote(place) for place in places if "%" in place]  # In a URL a space is written as %20.
     inside = [place for place in places if lies_in(Path(os.path.normpath(place)), folders)]
     if not inside:
         raise ModelError(
@@ -178,7 +179,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
             "triangles": CAPS.triangles,
             "memory": CAPS.memory,
         }
-        # One thread is enough, and every further one takes memory.
+        # The numerical libraries of the reading process need one thread only, and every further one takes memory.
         threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         # The limit on wall time allows for a busy machine or a slow disk.
         lines, ended = run(WORKER, "reads meshes", job, 6.0 * math.fsum(seconds), **threads)

@@ -42,7 +42,7 @@ class Surroundings(ReadOnly):
         """Start with no shapes."""
         self.version = 0
         self._placed: dict[str, PlacedShape] = {}
-        # convex hulls of meshes, by name for added shapes and by index for those of the robot
+        # The convex hulls of meshes, by name for shapes that were added and by index for those of the robot.
         self._hulls: dict[Any, Any] = {}
 
     def _rebuild(self) -> None:
@@ -78,10 +78,13 @@ class Surroundings(ReadOnly):
         return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
 
     def contents(self) -> str:
-        """Return a text that differs for models in which other pairs, margins, shapes (by their extents) or poses are tested."""
+        """Return a text that identifies what is tested: pairs, margins, and the names, extents and poses of all shapes.
+
+        Stored results are reused only if this text is the same.
+        """
         shapes = []
         for one in self.geometry.geometryObjects:
-            one.geometry.computeLocalAABB()  # Coal computes the box of a new shape only when it is asked to.
+            one.geometry.computeLocalAABB()  # Coal does not compute the bounding box of a new shape by itself.
             box = one.geometry.aabb_local
             place = (one.parentJoint, one.placement.homogeneous.tolist())
             shapes.append((one.name, type(one.geometry).__name__, box.min_.tolist(), box.max_.tolist(), place))
