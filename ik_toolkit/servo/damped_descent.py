@@ -37,7 +37,7 @@ class DampedDescent(NamedTuple):
     stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
     # [arm reaches, rad] below this error, weighted as at priority level 0, the tracking method continues without a damped descent
     small: float = 1e-4
-    stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
+    stalled: float = 0.1  # [s] time without progress after which an arm counts as stuck
     # An arm makes progress if the weighted error falls, within the time `stalled`, by `progress` or by `pace` times what full joint
     # speed would allow, whichever is less.
     progress: float = 1e-3
@@ -46,18 +46,19 @@ class DampedDescent(NamedTuple):
     # more.
     idle: float = 0.01
     reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-    reversals: float = 2.0  # An arm is stuck after this many joint reversals.
+    reversals: float = 2.0  # An arm counts as stuck after this many reversals of joints.
     forgotten: float = 0.1  # [s] time after which a reversal is forgotten, counted while the error is the least so far
-    first: float = 0.5  # initial value of the factor `share`
-    least: float = 0.02  # least value of the factor `share`; with a lower value joints turn back repeatedly
-    most: float = 16.0  # largest value of the factor `share`
-    turned: float = 8.0  # factor by which `share` is raised when joints turn back
-    raised: float = 2.0  # factor by which `share` is raised when the error does not fall
-    lowered: float = 0.9  # factor by which `share` is lowered while the error falls
+    first: float = 0.5  # initial value of `share`, the factor in the damping
+    # least value of `share`, the factor in the damping; with a lower one joints turn back repeatedly
+    least: float = 0.02
+    most: float = 16.0  # largest value of `share`, the factor in the damping
+    turned: float = 8.0  # factor by which `share`, and so the damping, is raised when joints turn back
+    raised: float = 2.0  # factor by which `share`, and so the damping, is raised when the error does not fall
+    lowered: float = 0.9  # factor by which `share`, and so the damping, is lowered while the error falls
     # After joints have turned back and `share` was raised, it must not fall below this fraction of the raised value for a while.
     # With `turned` it is 0.25 * 8 = 2 times the share at which they turned back.
     floor: float = 0.25
-    fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
+    fading: float = 0.3  # [s] time constant with which the lower bound on `share` after a reversal fades
     brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 

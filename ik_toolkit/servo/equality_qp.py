@@ -68,7 +68,7 @@ class TwoLevels(NamedTuple):
     length: Array  # (K,) norms of the rows of P
     # (K + N,) int8, for each constraint: 0 inactive, 1 active (a bound: the upper one), -1 held at the lower bound
     active: Array
-    now: Pair  # (K + N,) present multipliers; a multiplier has the sign of `active`
+    now: Pair  # (K + N,) present multipliers, each with the sign of its constraint's entry in `active`
     new: Pair  # (K + N,) multipliers of the last equality-constrained problem; for the task's rows `first` is P y - rhs
     b: Basis
 
@@ -321,7 +321,7 @@ def least_squares(p, planes, rank):
 
 @inline
 def closeness_of_task(p, planes, rank):
-    """Write the multipliers of linearly dependent task rows for the second objective to p.new: of all solutions the shortest.
+    """Write the multipliers of linearly dependent task rows for the second objective to p.new; of the many possible, the shortest.
 
     planes: number of basis vectors from inequalities; rank: number of basis vectors from task rows.
     """

@@ -76,7 +76,7 @@ class Law(NamedTuple):
     brake: float  # 1 if the arm brakes to rest, whatever the target, else 0
     # [s] longest step that may come after this one; joints must still be able to stop inside their limits in steps of this length
     late: float
-    mode: float  # a number of `constrained_step.StepModes`
+    mode: float  # what gives way to limits: a number of `constrained_step.StepModes`
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of collision inequalities in use
     measured: float  # 1: error and Jacobian are evaluated at the measured joint values, 0: at the commanded ones
@@ -149,7 +149,7 @@ def gram(J, m, wide, extra, G):
 
 @dual
 def invert(G, k, y):
-    """Replace G (k, k) by its Cholesky factor; return 1 / trace(G^-1), at most G's smallest eigenvalue. y (k,): scratch."""
+    """Replace G (k, k) by its Cholesky factor; return 1 / trace(G^-1), a bound below G's eigenvalues. y (k,): scratch."""
     cholesky(G, k, TINY)
     trace = 0.0
     for c in range(k):
@@ -185,7 +185,7 @@ def factor(J, m, damping, G, y):
 
 @dual
 def apply(J, m, G, b, y, out):
-    """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
+    """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), by the factor G that `factor` wrote; y: scratch."""
     wide = is_wide(J, m)
     k = m if wide else J.shape[0]
     for r in range(k):

@@ -29,7 +29,7 @@ class Sampling(NamedTuple):
     iterations: int = 50  # largest number of Newton iterations for one sample; two or three are needed
     exact: float = 1e-10  # [m, rad] error below which a sample counts as on the path
     singular: float = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
-    samples: int = 100  # least number of samples that a motion is resampled to
+    samples: int = 100  # least number of samples at which a joint motion is computed
     fine: float = 0.03  # largest distance between two samples of a motion [arm reaches, rad]
     closed: float = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
     # share of the speed by which the velocities at the start and end of a closed path may differ; a spline through a sampled lap

@@ -95,7 +95,7 @@ class Survey:
 
 
 def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any) -> Survey:
-    """Follow a reference pose by pose, by a solver and without limits of time, to see which of its poses can be reached.
+    """Follow a reference pose by pose with a solver, without speed limits, to see which of its poses can be reached.
 
     Args:
         robot: The robot.

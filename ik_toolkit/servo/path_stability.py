@@ -74,7 +74,7 @@ def least_rate(
         method: Name of the tracking method.
         most: Highest rate to try [Hz]; default: ten times the least stable rate at rest, but no more than gives 2000 samples of the
             path, and no less than 1.6 times the least stable rate at rest.
-        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
+        q0: (n,) configuration [rad or m] near which the motion starts; default: home.
         null_damping: Damping of null-space motion [1/s], as in `Method`.
         gains: Gains of the method, as in `check_gains`, the same at every rate; without any, those of `best_gains` for each rate.
 
@@ -177,7 +177,7 @@ def stability_chart(
         gain: (G,) values of kappa h or kd h; default 0.04 to 1.1.
         samples: (S,) whole numbers of samples of the path; default 12 to 240, about evenly spaced in the distance from sample to
             sample.
-        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
+        q0: (n,) configuration [rad or m] near which the motion starts; default: home.
         null_damping: Damping of null-space motion times the sample time, without unit.
 
     Returns:

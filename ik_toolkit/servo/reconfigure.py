@@ -36,7 +36,7 @@ from .motion_limits import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 
-TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
+TOLERANCE = 1e-5  # [m, rad] tolerance with which another posture must reach a target; the tracker then comes closer
 REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as length_scale
 
 
@@ -78,7 +78,7 @@ class Postures:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Prepare for targets of these kinds (KIND.pose or KIND.position), one a tip; compile all that is needed later."""
+        """Prepare for targets of these kinds (KIND.pose or KIND.position), one for each tip; compile all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
@@ -137,7 +137,7 @@ class SearchConstants(NamedTuple):
     """Constants that set when another posture is searched for, and how long. Times were measured with 6 and 7 joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
-    attempts: int = 96  # number of solver attempts; if one in ten succeeds, only one search in 25,000 finds nothing
+    attempts: int = 96  # solver attempts in a search; if one in ten succeeds, one search in 25,000 finds nothing
     attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
     # share of the time between two updates that a search may take; all attempts together take about 1 ms
     share: float = 0.05
@@ -193,7 +193,7 @@ class Reconfiguration:
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # postures (n,) at which, or on the way to which, a collision was found
-        self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
+        self._place = np.zeros(0)  # target that the goal reaches, or for which `search_now` began a search
         self.forget()
         self._quiet, self._pause = 0.0, SEARCH.pause  # [s] left of the present pause, and length of the next one
         self._vain = np.zeros(0)  # target at the last search that found nothing
@@ -208,7 +208,7 @@ class Reconfiguration:
         # cost [s] of the best posture found, its joint values, and the targets that it reaches
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None
         self._stands = False  # whether the target was at rest when the search began
-        self._now = False  # whether the search was asked for by `search_now`
+        self._now = False  # whether `search_now` began the search
 
     # ------------------------------------------------------------------------------------------------ when to search
     def watch(self, taken: Taken) -> None:

@@ -255,7 +255,7 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
 
 
 POSITION_TOLERANCE = 1e-3  # [m] default largest position error of a run: accuracy to which a path is commonly followed
-ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
+ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees, which move the end of a tool of half a metre by about 1 mm
 SETTLE = 0.5  # [s] default time for which an arm that starts at rest may still be off its path
 
 

@@ -95,7 +95,7 @@ def modes(J, near, W, U, sigma):
 def leave_modes(W, sigma, r, x):
     """Remove from the joint motion x (n,), in place, what moves the tip, except along task direction u_r (none excepted if r = -1).
 
-    W (m, n) and sigma (m,) are as `modes` wrote them. Returns the length of what is left of x.
+    W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns the length of what is left of x.
     """
     m, n = W.shape
     for c in range(m):
@@ -108,7 +108,7 @@ def leave_modes(W, sigma, r, x):
 def lost_direction(W, sigma, away, v):
     """Write to v (n,) a unit joint direction that does not move the tip: `away` (n,) without the part that moves it.
 
-    W and sigma are as `modes` wrote them. Returns False if nothing is left of `away`.
+    W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns False if nothing is left of `away`.
     """
     copy(away, v)
     leave_modes(W, sigma, -1, v)
@@ -191,8 +191,9 @@ def mode_moved(u, e, ahead, f, h):
 def mode_direction(W, sv, r, away, way, v):
     """Write to v (n,) the unit joint direction that belongs to singular value r; return False if there is none to move along.
 
-    W (m, n) and sv (m,) are as `modes` wrote them; way: tip motion that is asked for along this direction. For a singular value
-    near 0 the direction is the part of the joint motion `away` (n,) that does not move the tip; there is none if `way` is 0.
+    W (m, n): rows sigma_k v_k, and sv (m,): singular values, from `modes`; way: tip motion that is asked for along this direction.
+    For a singular value near 0 the direction is the part of the joint motion `away` (n,) that does not move the tip; there is none
+    if `way` is 0.
     """
     clear(v)
     if sv[r] > WEAK.zero:
@@ -205,7 +206,8 @@ def mode_direction(W, sv, r, away, way, v):
 def begin_curved(W, v, sigma, r, away, x):
     """Write to x (n,) the joint direction from which the search of `bent_direction` starts.
 
-    It is `away` (n,) without what moves the tip along task directions other than u_r or, if little is left of it, v (n,).
+    It is `away` (n,) without what moves the tip along task directions other than u_r or, if little is left of it, v (n,). W (m, n):
+    rows sigma_k v_k, and sigma (m,): singular values, from `modes`.
     """
     copy(away, x)
     size = leave_modes(W, sigma, r, x)
@@ -220,7 +222,8 @@ def bent_direction(W, v, sigma, r, slope):
     A stretched redundant arm has two joint directions that hardly move the tip, and v may be any mixture of them. Only the one
     along which the tip's path is curved can bring the tip nearer. The gradient of sigma_r, slope (n,), points along it: entry i is
     the component along u_r of (dJ/dt along x) for a motion of joint i alone, where x is what `begin_curved` wrote (one step of a
-    power iteration). W and sigma are as `modes` wrote them. Returns the tip's motion along u_r per unit of motion along the new v.
+    power iteration). W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns the tip's motion along u_r
+    per unit of motion along the new v.
     """
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
@@ -236,8 +239,8 @@ def bent_direction(W, v, sigma, r, slope):
 def take_out(J, W, U, V, lost, f, G):
     """Remove the task directions marked by 1 in lost (m,) from the Jacobian J (n, m) and the target's twist f (m,).
 
-    W (m, n) and U (m, m) are as `modes` wrote them; V (m, n): joint directions of the directions removed. G receives the Cholesky
-    factor of what is left of J, for `laws.apply`. Returns how many directions were removed.
+    W (m, n): rows sigma_k v_k, and U (m, m): rows u_k, from `modes`; V (m, n): joint directions of the directions removed. G
+    receives the Cholesky factor of what is left of J, for `laws.apply`. Returns how many directions were removed.
     """
     n, m = J.shape
     count = 0
@@ -266,8 +269,8 @@ def take_out(J, W, U, V, lost, f, G):
 def by_modes(J, W, U, lost, ask, y):
     """Rewrite the task, J (n, m) and the rates ask (m,), in the task directions u_k that are kept; its rows are then independent.
 
-    W, U: as `modes` wrote them; lost (m,): 1 for a direction that is removed; y (m,): scratch. An error of weight 0 keeps a
-    direction of its own if `modes` was started with zeros in `near`.
+    W (m, n): rows sigma_k v_k, and U (m, m): rows u_k, from `modes`; lost (m,): 1 for a direction that is removed; y (m,): scratch.
+    An error of weight 0 keeps a direction of its own if `modes` was started with zeros in `near`.
     """
     n, m = J.shape
     if not any_of(lost):

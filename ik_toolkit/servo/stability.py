@@ -304,7 +304,7 @@ def check_gains(
         robot: A Robot. With `path`, the gains are also judged along this path, by the growth of a small error over the path,
             or over a lap if the path is closed.
         path: A Reference, as from ik.circle. A delay cannot be judged along it.
-        q0: (n,) the motion along the path follows the solution near it [rad or m]; default: home.
+        q0: (n,) configuration [rad or m] near which the motion along the path starts; default: home.
         null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
         gains: By method: kappa (cv); kp and kd (ca); share (av and aa); gamma and share (aad).
 

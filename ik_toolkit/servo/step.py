@@ -66,7 +66,7 @@ class StatusContext(NamedTuple):
     """What the status of a step depends on besides the step itself; it is the same for all steps of a tracker."""
 
     robot: Any
-    settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
+    settings: Callable[[float], dict[str, float]]  # function that returns the method's gains for a sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
     firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the highest priority level
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
     samples: np.ndarray
     dt: float  # [s] length of the update; a long one is taken in several steps
     h: float  # [s] length of the step
-    lost: float  # number of singular directions, in which the tip can hardly move
+    lost: float  # number of singular directions (in which the tip can hardly move) removed from the task
     down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
     finite: bool  # whether all numbers of the target were finite
     # largest difference between measured and commanded joints, as a share of the allowed one; infinite if not finite

@@ -62,11 +62,11 @@ class RestState(NamedTuple):
     Before its first motion a target counts as having jumped.
     """
 
-    seconds: int  # [s] for which the target has stood still, to within ARRIVAL.still
+    seconds: int  # [s] time for which the target has stood still, to within ARRIVAL.still
     jumped: int  # 1: the target jumped to the pose at which it now stands still
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
-    rest: int  # [s] for which the target has been at rest; a trembling target never is
-    known: int  # 1: the rest of the array holds the F poses at which the target stands still
+    rest: int  # [s] time for which the target has been at rest; a trembling target never is
+    known: int  # 1: the entries after this one hold the F poses at which the target stands still
 
 
 STAND = RestState._make(range(len(RestState._fields)))

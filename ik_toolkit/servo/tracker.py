@@ -313,7 +313,7 @@ class Tracker(CopiesViews, ReadOnly):
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
-        """Get ready for a target of kind KIND.pose or KIND.position per tip. Raises InvalidOption for slack in mode clip."""
+        """Prepare for targets of these kinds, KIND.pose or KIND.position for each tip. Raises InvalidOption: slack with "clip"."""
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)

@@ -63,13 +63,13 @@ class LimitMargins(NamedTuple):
 class OscillationThresholds(NamedTuple):
     """Thresholds by which a joint counts as oscillating, and limits on the acceleration of such a joint.
 
-    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
+    Without these limits, 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
     """
 
     slow: float = 0.05  # Only motions faster than this share of the speed limit count as part of an oscillation.
     reversals: float = 2.0  # number of consecutive reversals after which a joint counts as oscillating
-    window: float = 0.05  # [s] longest time between two of these reversals
-    hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
+    window: float = 0.05  # [s] longest time between two such reversals, one after the other
+    hold: float = 0.1  # [s] time without a reversal after which a joint no longer counts as oscillating
     # [s] time for which oscillating joints are slowed after a limit or a singular pose has hindered them
     lasting: float = 0.2
     # [1/s] An oscillating joint may gain speed at no more than this factor times its speed limit, plus `growth` times its speed.
@@ -120,7 +120,7 @@ def approach(distance, v, gamma, h, a, late):
     """Return the highest next rate after which a joint can still stop within `distance`.
 
     v: present rate towards the end of that distance; gamma: weight of the next rate in a step; h [s]: this step; a: deceleration;
-    late [s]: longest later step. The result is negative if the joint cannot stop within the distance even now.
+    late [s]: longest later step. The result is negative if the joint can no longer stop within the distance.
     """
     if distance == np.inf:
         return np.inf
@@ -325,7 +325,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
 
 @shared
 def time_left(q, goal, limits):
-    """Return the time [s] in which the slowest joint moves from q to goal (n,) at full speed, without acceleration limits."""
+    """Return the least time [s] in which all joints can move from q to goal (n,) at full speed, without acceleration limits."""
     left = 0.0
     for j in range(q.shape[0]):
         speed = limits[LIMIT.speed, j]
