@@ -57,9 +57,9 @@ def check(
 
     Every row without NaN must be inside the tolerances of its target, or as near as an arm with too few joints comes.
 
-    plan, kinds: the solver's Plan and a target kind per tip; curve (M, n) [rad or m]; at (M,): positions of its rows on
-    the path through T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a CollisionModel or
-    None.
+    plan: the solver's Plan; kinds: the kind of each tip's target (pose, position, ...); curve (M, n) [rad or m]; at (M,): positions
+    of its rows on the path through T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a
+    CollisionModel or None.
     """
     judged = bounds(plan, kinds, curve, at, T)
     deviation, turn = bounds(plan, kinds, curve, at, T, beyond=missed(plan, kinds, curve, at, T))

@@ -199,8 +199,8 @@ WIDER = 1.5  # factor by which the spacing of poses is raised until at most MOST
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Insert interpolated poses between poses T (N, F, 4, 4) that are farther apart than FAR.
 
-    kinds: a target kind per tip. Returns all poses (M, F, 4, 4) and their positions on the path (M,) (3.5: halfway from pose 3 to
-    pose 4).
+    kinds: the kind of each tip's target (pose, position, ...). Returns all poses (M, F, 4, 4) and their positions on the path (M,)
+    (3.5: halfway from pose 3 to pose 4).
     """
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):

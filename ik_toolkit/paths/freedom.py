@@ -33,7 +33,7 @@ class Freedom(NamedTuple):
 def freedom(plan: Any, kinds: tuple) -> Freedom:
     """Return how many components of targets can be changed by the joints whose weight is not 0, see `Freedom`.
 
-    plan: the solver's Plan; kinds: the kind of target of each tip.
+    plan: the solver's Plan; kinds: the kind of each tip's target (pose, position, ...).
     """
     key = "freedom", kinds
     if key not in plan.memo:
@@ -103,8 +103,8 @@ def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T:
 def errors_at_rows(robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Any) -> np.ndarray:
     """Return the errors that count [m], [rad] (N, 2) of each row of q (N, n) from its target, the largest of all tips.
 
-    The errors of a row of q that is not finite are NaN. T (N, ...): a target for each row; kinds: a target kind per tip; o: the
-    Options.
+    The errors of a row of q that is not finite are NaN. T (N, ...): a target for each row; kinds: the kind of each tip's target
+    (pose, position, ...); o: the options that say what counts.
     """
     errors = np.full((len(q), 2), np.nan)
     for t in np.flatnonzero(np.isfinite(q).all(axis=1)):

@@ -151,7 +151,7 @@ def all_reached(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None)
     Args:
         solver: A Solver without the option `priority`.
         T: The poses [m].
-        kinds: A target kind per tip.
+        kinds: The kind of each tip's target (pose, position, ...).
         q0: (n,) Start of the first attempt [rad or m], or None.
     """
     plan = solver.plan_for(kinds).varied(restarts=MINIMA.attempts - 1)
@@ -174,7 +174,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     Args:
         solver: A Solver with the option `priority`.
         T: The poses asked for [m].
-        kinds: A target kind per tip.
+        kinds: The kind of each tip's target (pose, position, ...).
         q0: (n,) Start of the path [rad or m], or None.
     """
     plan = solver.plan_for(kinds)

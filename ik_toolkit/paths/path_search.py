@@ -111,7 +111,7 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        # all solutions (N, K, n) of the poses [internal units], and whether (N,) these are proven to be all; None: no list
+        # all solutions (N, K, n) of the poses [rad, or length over the reach], and whether (N,) they are proven to be all; or None
         self.listing, self.legal = self.list_solutions()  # legal (N, K): which of these solutions keep the joint limits
         self.copied: set[int] = set()  # joints with a range above 2 pi in which tracks are copied with shifts by 2 pi
         self.wound = problem.endless
@@ -347,7 +347,7 @@ class Search:
         return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return whether (N, K) each of the solutions Q (N, K, n) [internal units] lies on a track, modulo 2 pi."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [rad, or length over the reach] lies on a track, modulo 2 pi."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):

@@ -50,7 +50,7 @@ class PathResult:
     """Result of `solve_path`: a joint motion through N poses, and what is proven about it (read-only).
 
     Attributes:
-        robot, targets, kinds, options: the request; targets (N, F, 4, 4) [m] for F tips, kinds: a target kind per tip.
+        robot, targets, kinds, options: the request; targets (N, F, 4, 4) [m] for F tips, kinds: the kind of each tip's target.
         q: (N, n) [rad or m], a solution of each pose, NaN where a pose is not reached.
         status, message: how the search ended, and one sentence that says what to try.
         position_error: (N,) [m], the counted error at each pose, the largest of all tips, computed with Pinocchio.

@@ -51,7 +51,7 @@ def step(Q, t, a, u, b, most, endless, price, longer, enough):
 
 @inner
 def barred(blocked, t, a, b):
-    """Return whether (t, a, b) is one of the sorted rows of blocked (B, 3), by binary search."""
+    """Return whether blocked (B, 3), whose rows are sorted, excludes the step from track a to track b at pose t."""
     low, high = 0, blocked.shape[0]
     while low < high:
         m = (low + high) // 2
@@ -98,7 +98,7 @@ def link_layers(
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
-    Q (N, K, n): configurations of the tracks [internal units]
+    Q (N, K, n): configurations of the tracks [rad, or length over the reach]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
@@ -150,7 +150,7 @@ def link_layers(
 
 
 def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
-    """Return the indices (N, K) that sort the values (N, K) [internal units] of a joint at each pose, see `link_layers`."""
+    """Return the indices (N, K) that sort the values (N, K) of a joint on K tracks at each pose, see `link_layers`."""
     keys = values.astype(float)
     if endless > 0.0:
         keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
@@ -176,9 +176,9 @@ COARSE = 16  # After a first contact every track is tested at every 16th pose.
 class Program:
     """The dynamic program over K tracks and N poses; a track is one solution continued along the poses.
 
-    Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]. state (N, K): what
-    is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of reconfigurations and cost that a path pays
-    for beginning, or ending, on each track.
+    Q (N, K, n): configurations of the tracks [rad, or length over the reach], of which track k exists from pose span[k, 0] to
+    span[k, 1]. state (N, K): what is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of
+    reconfigurations and cost that a path pays for beginning, or ending, on each track.
     """
 
     def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:

@@ -179,8 +179,8 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
-    The result is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
-    whose kind is KIND.free are left out.
+    The result is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: the kind of each tip's target
+    (pose, position, ...); tips whose kind is KIND.free are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):

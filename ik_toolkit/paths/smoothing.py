@@ -59,7 +59,7 @@ def path_problem(rows, ends, orders, n, block):
 
 @inner
 def cost_of(Q, price, longest):
-    """Return the cost of a path Q (N, n) [internal units], and its largest joint step as a multiple of `longest` (n,).
+    """Return the cost of a path Q (N, n) [rad, or length over the reach], and its largest joint step over `longest` (n,).
 
     The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short
     ones.

@@ -107,7 +107,7 @@ def solve_path(
     _check(options, progress)
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
-    robot, seed = solver.robot, solver.options.seed  # Limits may be narrower now, and a seed of 1.0 is now 1.
+    robot, seed = solver.robot, solver.options.seed  # This robot may have narrower limits; a seed of 1.0 is now 1.
     T, kinds = _read(robot, poses)
     step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
@@ -145,7 +145,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # Fewer might do if other rotations by 180 degrees were reversed.
+            search.lower_bound = None  # With rotations reversed, fewer reconfigurations might do.
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
@@ -184,7 +184,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     The Solver counts whole poses: what a mask or a free turn leaves free stays as it is at the nearest poses, because with other
     values other poses would be the nearest.
     """
-    kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority that such targets give nothing to do
+    kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority without effect on such targets
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):
