@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Contact(NamedTuple):
-    """A contact of two shapes: where on the path (3.5: halfway from pose 3 to pose 4), and the names of the shapes."""
+    """A contact of two shapes: its position on the path (3.5: halfway from pose 3 to pose 4), and the names of the shapes."""
 
     place: float
     pair: tuple[str, str]
@@ -15,7 +15,7 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Continuity:
-    """What is proven about a motion that is linear in the joints between the M rows of a curve (M, n).
+    """What is proven about a motion that is linear in the joints between M configurations, the rows of a curve (M, n).
 
     deviation (M-1,) [m] and turn (M-1,) [rad]: upper bounds on how far a tip's position and rotation leave the interpolated pose
     between two rows, in the pose components that count; NaN where the motion breaks. clearance [m]: proven least distance of any

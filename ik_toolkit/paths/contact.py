@@ -25,22 +25,24 @@ from .certificate import Contact
 # LARGEST is the first margin factor tested [rad]; it gives a margin of 1.5 cm for a lever arm of one metre. Each further margin
 # factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
-FLOOR = 1e-4  # smallest margin [m] of the pair with the longest lever arm; nearer shapes count as not proven
-# A check may make EACH collision tests per row of a curve, but at least AT_LEAST; what is then untested counts as not proven.
+# smallest margin [m] of the pair of shapes with the longest lever arm; if shapes are nearer, freedom of contact is not proven
+FLOOR = 1e-4
+# A check may make EACH collision tests per row of a curve, but at least AT_LEAST in all. Parts of the motion that are then untested
+# count as not proven.
 EACH, AT_LEAST = 30, 20_000
 
 
 class Margins:
     """Collision tests of a CollisionModel in which a pair of shapes counts as touching if it is nearer than its margin.
 
-    arms (n, pairs): lever arms: the most by which a pair's distance changes per unit of each joint [m/rad or m/m]
+    arms (n, pairs): lever arms, the largest change of a pair's distance per unit of each joint [m/rad or m/m]
     size (pairs,): longest lever arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
     levels: the margin factors that are tested, largest first
     spent: number of tests made so far
     """
 
     def __init__(self, collision: Any, stroke: np.ndarray) -> None:
-        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion (a prismatic joint lengthens arms)."""
+        """Compute the lever arms for a CollisionModel; stroke (n,): largest |q| of the motion (prismatic joints lengthen arms)."""
         self.collision = collision
         self.arms = _arms(collision, stroke)
         self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)
@@ -52,13 +54,13 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """Return how much (S,) [rad] joint moves dq (S, n) [rad or m] can lower the margin factor at which all pairs are free."""
+        """Return by how much (S,) [rad] joint moves dq (S, n) [rad or m] can at most lower the margin factor of all pairs."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
 
     def free(self, q: np.ndarray, margin: float) -> bool:
-        """Return whether all pairs are farther apart at q (n,) than the factor `margin` [rad] times their size; 0: do not touch."""
+        """Return whether all pairs of shapes are farther apart at q (n,) than `margin` [rad] times their size (0: do not touch)."""
         self.spent += 1
         if margin == 0.0:
             return not self.collision.collides(q)
@@ -73,9 +75,9 @@ class Margins:
         return not pin.computeCollisions(model, data, boxes, full, True)
 
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
-        """Return the largest of the margin factors levels[first:] with which q (n,) is free of contact, and its index.
+        """Return the largest of the margin factors levels[first:] that all pairs of shapes keep at q (n,), and its index.
 
-        If q is free with none of them, the factor is 0 where nothing touches and -1 where shapes touch, and the index is the last.
+        If they keep none of them, the factor is 0 where nothing touches and -1 where shapes touch, and the index is the last.
         """
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):
@@ -94,15 +96,15 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     pin.forwardKinematics(model, data, robot._filled(robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    # For each joint of Pinocchio's model: its index in q, and how far the joint turns and slides per unit of q.
+    # for each joint of Pinocchio's model its index in q, and how far it turns [rad] and slides [m] per unit of q
     moved: dict[int, tuple[int, float, float]] = {}
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    # own (shapes, n, joints of Pinocchio's model): a lever arm is stored under the joint it belongs to, so that joints which carry
-    # both shapes of a pair can be left out below.
+    # own (shapes, n, joints of Pinocchio's model): lever arms of each shape. They are stored by the joint to which they belong, so
+    # that joints that move both shapes of a pair can be left out below.
     own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()
@@ -230,7 +232,7 @@ def clearance_along(collision: Any, way: np.ndarray) -> float:
 
 
 class _SegmentCheck(NamedTuple):
-    """Result for a segment: whether it is proven free, and at which share of it (0 to 1) there is a contact, or -1."""
+    """Result for a straight joint move: whether it is proven free, and at which share of it (0 to 1) there is a contact, or -1."""
 
     proven: bool
     touches: float
@@ -263,11 +265,11 @@ def _between(
     return _SegmentCheck(proven, -1.0)
 
 
-SECONDS = 2.0  # time limit [s] of the search of `connect`
+SECONDS = 2.0  # [s] time limit of the search for a free motion in `connect`
 NODES = 20_000  # largest number of random points; on a fast machine it may end the search before the time limit
-STEP = 0.25  # longest step of a tree towards a random point [rad, or length over the reach]
-SHORTCUTS = 60  # number of attempts to cut corners of the motion found
-ALONG = 5_000  # largest number of collision tests of one straight move
+STEP = 0.25  # longest step with which a search tree grows towards a random point [rad, or length over the reach]
+SHORTCUTS = 60  # number of random attempts to replace a part of the motion found by a straight move
+ALONG = 5_000  # largest number of collision tests for one straight joint move
 
 
 def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray | None:

@@ -68,10 +68,10 @@ def within(q, old, most):
 
 
 class PathBounds(NamedTuple):
-    """A path that solutions are continued along, and the bounds they must keep, see `carry_along`."""
+    """A path along which solutions are continued, and the bounds that they must keep, see `carry_along`."""
 
     T: Array  # (N, 4, 4) or (N, F, 4, 4) the path's poses
-    pose: Array  # one pose of the path, scratch
+    pose: Array  # scratch: one pose of the path
     box: Bounds
     most: Array  # (n,) largest step of each joint
     deviation: Array  # (2,) how far [m], [rad] a tip may leave the interpolated pose
@@ -79,13 +79,14 @@ class PathBounds(NamedTuple):
 
 @spliced
 def advance_to_pose(p, o, weights, path, t, u, last, old, new):
-    """Continue p.desk.q from a solution of pose number t to a solution of pose u, in steps that are halved where they fail.
+    """Continue a solution of pose number t, in p.desk.q, to a solution of pose u, in steps that are halved where they fail.
 
     If the whole step fails, it is first tried again from the configuration to which the motion from `last` to q would lead. The
     motion then keeps its direction through a singular pose, where the solution nearest to q may turn back.
 
-    p, o: problem and Orders; weights (n,): joint weights; path: see `PathBounds`; last (n,): the solution of the pose before,
-    or what q is if there is none. old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
+    p, o: the compiled problem and its options (Orders); weights (n,): joint weights; path: see `PathBounds`; last (n,): the
+    solution of the pose before t, or p.desk.q itself if there is none. old (n,) and new (n,) are scratch. Returns False if no
+    continuous motion was found.
     """
     q, pose, deviation = p.desk.q, path.pose, path.deviation
     a, b = flat(path.T[t]), flat(path.T[u])
@@ -129,12 +130,13 @@ def advance_to_pose(p, o, weights, path, t, u, last, old, new):
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
-    Each solution is followed as far as it goes. Joint values are in rad, or lengths over the reach. rows, ends, orders: arrays of a
-    Plan with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit, upper limit, and 1 where both are
-    finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m], [rad] a tip may leave the
-    interpolated pose halfway between two poses.
+    Each solution is followed as far as it goes. Joint values are in rad, or lengths over the reach. rows, ends, orders: the robot
+    and the options as arrays, from a Plan with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit,
+    upper limit, and 1 where both are finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m],
+    [rad] a tip may leave the interpolated pose halfway between two poses.
 
-    Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to span[columns[m]].
+    Writes the configurations to which solution m leads to Q[:, columns[m]] (N, n), and the numbers of the first and last pose that
+    it reaches to span[columns[m]].
     """
     n, tips = seeds.shape[1], ends.size // ends.shape[-1]
     block, pose = np.empty(space(n, 6 * tips, rows.shape[0], 0)), np.empty_like(T[0])
@@ -178,8 +180,8 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
 MOST = 4096  # largest number of tracks (continued solutions), to bound time and memory
 STARTS = 1000  # number of random starts from which a pose is solved
 POOL = 400  # number of solutions of a redundant robot from which widely spaced ones are chosen
-SAME = 1e-3  # solutions whose joints all differ by less count as the same [rad, or length over the reach]
-THIN = 0.25  # least distance of a new track from others of a redundant robot, as a share of the largest joint step
+SAME = 1e-3  # Solutions count as the same if all their joints differ by less [rad, or length over the reach].
+THIN = 0.25  # least distance of a new track of a redundant robot from the others, as a share of the largest joint step
 CHUNK = 8  # number of tracks that a thread continues in one task
 
 
@@ -190,7 +192,7 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
     difference of a joint) is above `least`.
     """
     gap = np.full(len(found), np.inf)
-    joints = np.ascontiguousarray(found.T)  # NumPy takes a maximum faster over the first axis than over the last.
+    joints = np.ascontiguousarray(found.T)  # NumPy takes a maximum over the first axis faster than one over the last.
 
     def approach(q: np.ndarray) -> None:
         np.minimum(gap, np.abs(joints - q[:, None]).max(axis=0), out=gap)
@@ -210,8 +212,8 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
 class Tracks:
     """Solutions continued along the N poses of a path, called tracks.
 
-    Q (N, size or more, n) [rad, or length over the reach; float32] holds their configurations; track k exists from pose span[k, 0]
-    to pose span[k, 1] inclusive. `size` is the number of tracks.
+    Q (N, size or more, n) [rad, or length over the reach; float32] holds their configurations; track k exists from pose number
+    span[k, 0] to pose span[k, 1] inclusive. `size` is the number of tracks.
     """
 
     def __init__(self, problem: Problem, threads: int, seed: int) -> None:
@@ -226,7 +228,7 @@ class Tracks:
     span = property(lambda self: self._span[: self.size])
 
     def at(self, t: int) -> np.ndarray:
-        """Return the configurations (m, n) [internal units] at pose number t of all tracks that exist there."""
+        """Return the configurations (m, n) [rad, or length over the reach] at pose number t of all tracks that exist there."""
         span = self.span
         return self._Q[t, : self.size][(span[:, 0] <= t) & (t <= span[:, 1])].astype(float)
 
@@ -271,7 +273,7 @@ class Tracks:
         return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Start a track from each of the solutions `seeds` (M, n) [internal units] at the poses with the indices `at` (M,).
+        """Start a track from each of the solutions `seeds` (M, n) [rad, or length over the reach] at the poses numbered `at` (M,).
 
         Each solution is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
         """

@@ -23,14 +23,15 @@ from .contact import find_contacts
 from .freedom import freedom, missed
 from .smoothing import settle_rows as settle_rows
 
-# Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few rounds suffice.
+# Largest number of rounds of inserting rows into a curve. The bounds fall with the square of the number of pieces, so few rounds
+# suffice.
 ROUNDS = 12
-# A motion between two poses that is k times as long as max_step (k >= 1) is divided into at most 256 k pieces.
-# A motion that needs more pieces counts as not continuous there.
+# A joint motion between two poses that is k times as long as max_step (k >= 1) is divided into at most 256 k pieces. If it needs
+# more, it counts as not continuous.
 MOST_PIECES = 256
 MOST_ROWS = 200_000  # largest number of rows of a curve
-LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to pi
-LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to pi
+LOG_SLOPE = 1.3  # bound on the derivative of the inverse left Jacobian of SO(3), for rotation vectors up to pi
+LOG_GAIN = 0.5 * math.pi  # bound on the norm of the inverse left Jacobian of SO(3), for rotation vectors up to pi
 
 
 class SegmentBounds(NamedTuple):
@@ -56,9 +57,9 @@ def check(
 
     Every row without NaN must be inside the tolerances of its target, or as near as an arm with too few joints comes.
 
-    plan, kinds: the solver's Plan and a target kind per tip; curve (M, n) [rad or m]; at (M,): positions of its rows on
-    the path through T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a CollisionModel or
-    None.
+    plan: the solver's Plan; kinds: the kind of each tip's target (pose, position, ...); curve (M, n) [rad or m]; at (M,): positions
+    of its rows on the path through T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a
+    CollisionModel or None.
     """
     judged = bounds(plan, kinds, curve, at, T)
     deviation, turn = bounds(plan, kinds, curve, at, T, beyond=missed(plan, kinds, curve, at, T))
@@ -79,11 +80,11 @@ def densify(
     max_step: tuple[float, float],
     path_tolerance: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Insert solved rows until steps are below max_step (rad, m) and deviations below path_tolerance (m, rad).
+    """Insert solved rows into a joint motion until its steps are below max_step (rad, m) and its deviations below path_tolerance.
 
-    q (N, n) [rad or m] are solutions of the poses T (N, F, 4, 4), NaN where a pose is not reached. The motion breaks between pose k
-    and the next for k in breaks. Between two poses that no continuous joint motion connects, no row is inserted, and `check`
-    reports the deviation.
+    q (N, n) [rad or m] are solutions of the poses T (N, F, 4, 4), NaN where a pose is not reached; path_tolerance (m, rad): how far
+    a tip may leave the interpolated poses. The motion breaks between pose k and the next for k in breaks. Between two poses that no
+    continuous joint motion connects, no row is inserted, and `check` reports the deviation.
 
     Returns the curve (M, n), the position of each row on the path (M,), and whether the curve breaks after each row (M-1,). Raises
     InvalidOption if max_step is so small that there would be more than MOST_ROWS rows.
@@ -118,7 +119,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # Old rows before one of NaN have become NaN by interpolation, so all old rows are restored.
+        rows[~new] = curve  # Interpolation towards a row of NaN has made old rows NaN, so all old rows are restored.
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Where an inserted row has no solution, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True
@@ -130,7 +131,7 @@ def densify(
 
 
 def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Move rows q (M, n) [rad or m] onto the targets T (M, F, 4, 4) with the least joint motion.
+    """Move the configurations q (M, n) [rad or m] onto the targets T (M, F, 4, 4) with the least joint motion.
 
     Returns the rows (M, n) and whether each is inside the tolerances (M,).
     """
@@ -142,7 +143,7 @@ def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> 
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Move rows q (M, n) [rad or m] onto the targets T (M, F, 4, 4), or if the arm has too few joints, as near as it comes.
+    """Move the configurations q (M, n) [rad or m] onto the targets T (M, F, 4, 4), or if the arm has too few joints, near them.
 
     Returns the rows (M, n) and whether each is inside the tolerances, or as near as possible (M,).
     """
@@ -160,7 +161,7 @@ def bounds(
     sag: np.ndarray | None = None,
     beyond: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return upper bounds [m] and [rad], each (M-1,), on how far any tip leaves the interpolated pose between two rows.
+    """Return upper bounds [m] and [rad], each (M-1,), on how far any tip leaves the interpolated poses between two rows of a curve.
 
     The rows of the curve (M, n) [rad or m] are solutions at the positions `at` (M,) on the path through the poses T (N, F, 4, 4).
     sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows (default 0). beyond (2, M-1): by how
@@ -203,8 +204,8 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> SegmentBounds:
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
-        # At this point `speed` bounds how far the joints after joint r move the tip over the segment, seen from joint r.
-        # The tip's distance from axis r is therefore at most the mean of both ends' distances plus half of `speed`.
+        # At this point `speed` bounds how far the joints between joint r and the tip move the tip from one row to the next. The
+        # tip's distance from axis r is therefore at most the mean of the distances at both rows plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
         twist += turns[:, r] * turn
@@ -255,11 +256,12 @@ class ErrorBounds:
         counts: which part of the tip's error counts (Counts: weights, dead bands, frame).
         """
         if counts.mask is None and counts.slack is None:
-            # If all components count, the axes in which they are taken do not matter.
+            # If all components of the error count alike, the axes in which they are given do not matter.
             return 0.125 * self.bend + self.off
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
-        # A deviation of the joints also rotates the axes of the error; the factor 8 cancels the factor 0.125 below.
+        # If the joints leave the straight line between the rows, this also rotates the axes of the error; the factor 8 cancels the
+        # 0.125 below.
         second += 8.0 * (self.off + self.off_turn * (self.away + self.off))
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 

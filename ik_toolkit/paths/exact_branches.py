@@ -22,9 +22,9 @@ from ..solvers.closed_form.geometry import Screws, read_screws
 from ..solvers.decide import arm_of, elimination_plan
 
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
-# Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
+# If a cosine is this close to 1 or a length [m] this close to 0, two solutions may merge or infinitely many exist.
 DOUBTFUL = 1e-7
-# largest pose error of a solution [m, or rotation matrix entries]; robot files hold rounded numbers, so a smaller one would fail
+# largest error of the pose that a solution reaches [m, or rotation matrix entries]; it allows for rounded numbers in robot files
 EXACT = 1e-5
 
 
@@ -174,11 +174,11 @@ def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return Q, sure
 
 
-ROUNDING = 1e-6  # [rad] by which a joint limit may be exceeded, because solutions are stored in single precision
+ROUNDING = 1e-6  # [rad] a joint limit may be exceeded by this much, because solutions are stored in single precision
 
 
 def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Return whether (N, K) each configuration of the tracks Q (N, K, n) exists and keeps the limits.
+    """Return whether (N, K) each of the K tracks Q (N, K, n) exists at each of N poses and keeps the joint limits there.
 
     A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n): lower and
     upper; joints (n,): which joints must keep them. All in internal units (rad, lengths over the reach).
@@ -220,11 +220,11 @@ def unwound(
     ends: tuple[np.ndarray | None, np.ndarray | None],
     fixed: list[bool],
 ) -> set[int]:
-    """Choose the shifts by 2 pi of the joints `free` (n,) along a path q (N, n) [internal units], in place.
+    """Choose multiples of 2 pi for the joints `free` (n,) along a path q (N, n) [rad, or length over the reach], in place.
 
-    Rows of NaN, where a pose is not reached, separate continuous pieces. Each continuous piece is unwrapped and shifted by 2 pi k
-    inside its limits, nearest the end of the previous piece; the first piece is put nearest ends[0], or without it nearest the
-    middle of the limits.
+    Reconfigurations, and poses that are not reached (rows of NaN), separate continuous pieces. Each continuous piece is unwrapped
+    and shifted by 2 pi k inside its limits, nearest the end of the previous piece; the first piece is put nearest ends[0], or
+    without it nearest the middle of the limits.
 
     Args:
         q: (N, n) configurations at the poses, NaN where there is none.
@@ -235,7 +235,7 @@ def unwound(
         fixed: whether the path must start at ends[0], and end at ends[1], exactly, not only modulo 2 pi.
 
     Returns:
-        The joints whose winding does not fit their limits.
+        Indices of the joints that wind up too far for their limits.
     """
     unfit: set[int] = set()
     there = np.flatnonzero(np.isfinite(q[:, 0]))

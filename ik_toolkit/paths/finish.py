@@ -24,13 +24,13 @@ from .result import pieces
 from .smoothing import smooth_rows
 
 TRIES = 12  # largest number of paths verified; each excludes the steps that failed in earlier ones
-HELD = 2  # where the shortened motion fails, this many poses on either side keep their joint values
+HELD = 2  # where the shortened motion fails the verification, this many poses on either side keep their joint values
 ROUNDING = 1e-9  # share of max_step by which rounding may let a step exceed it
 SHORTENED = 3  # largest number of attempts to shorten a path; each attempt keeps more poses unchanged
 
 
 class ProvenMotion(NamedTuple):
-    """A path, its motion between the poses, and what is proven about that motion.
+    """A path found, the joint motion through its poses, and what is proven about that motion.
 
     found: the path as the search found it; q (N, n) [rad or m]: a solution of each pose, NaN where there is none; curve (M, n): q
     and the rows inserted between; at (M,): position of each row on the path (3.5: halfway from pose 3 to pose 4); continuity: what
@@ -51,7 +51,7 @@ class ProvenMotion(NamedTuple):
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Move the rows q (N, n) [rad, or length over the reach] onto their poses; return them in [rad or m]. Rows of NaN stay."""
+    """Correct configurations q (N, n) [rad, or length over the reach] onto their poses; return them [rad or m]. NaN stays NaN."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
     # The search stores configurations in single precision, so the exact values of held joints are restored here.
@@ -66,7 +66,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
 def proven(
     search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
 ) -> ProvenMotion:
-    """Insert rows where needed between the rows q (N, n) [rad or m] of a path, and verify the motion.
+    """Insert rows where needed between the configurations q (N, n) [rad or m] of a path, and verify the motion.
 
     found: the path as the search found it; step (rad, m): largest joint step; tolerance (m, rad): largest deviation of a tip
     between the poses; model: a CollisionModel or None. Returns the rows, the motion between them, and what is proven.
@@ -86,7 +86,7 @@ def proven(
 def shorten_pieces(
     search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]
 ) -> np.ndarray:
-    """Shorten and smooth each continuous piece of the rows q (N, n) [rad or m], free of contact at the poses.
+    """Shorten and smooth each continuous piece of a motion q (N, n) [rad or m] through poses, free of contact at the poses.
 
     held (N,): poses whose rows do not change; step (rad, m): largest joint step.
     """
@@ -139,9 +139,10 @@ def finished(
 
 
 STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
-# The cost of a joint step is quadratic below this share of the mean step, so that joints do not stop and start again.
+# The cost of a joint step is quadratic below this share of the mean step, else linear, so that joints do not stop and start again.
 QUADRATIC_BELOW = 0.5
-# Weight of squared second differences against joint steps; its square root is the number of poses that round off a corner.
+# Weight of the squared second differences of a path against its joint steps; its square root is the number of poses over which a
+# corner is rounded off.
 SMOOTHNESS = 10.0
 ROUNDS = 6  # largest number of rounds of smoothing; each leaves the rows near contacts of earlier rounds unsmoothed
 WINDOW = 4  # number of poses kept unchanged on either side of a pose in contact, doubled in each further round
@@ -198,8 +199,8 @@ WIDER = 1.5  # factor by which the spacing of poses is raised until at most MOST
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Insert interpolated poses between poses T (N, F, 4, 4) that are farther apart than FAR.
 
-    kinds: a target kind per tip. Returns all poses (M, F, 4, 4) and their positions on the path (M,) (3.5: halfway from pose 3 to
-    pose 4).
+    kinds: the kind of each tip's target (pose, position, ...). Returns all poses (M, F, 4, 4) and their positions on the path (M,)
+    (3.5: halfway from pose 3 to pose 4).
     """
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):
@@ -221,7 +222,7 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Return the indices of the requested poses after which a path with inserted poses breaks, each once.
+    """Return after which of the requested poses a path breaks, each index once, from its breaks among all poses.
 
     breaks: indices of the poses, inserted ones included, after which it breaks; at (M,): positions of all poses on the path through
     the requested ones.
@@ -266,8 +267,8 @@ def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
 
 
 # ---------------------------------------------------------------------------------- how far one motion follows the path
-PARTS = 400  # The path is followed in steps of 1/400 of its length (0.25 %).
-HALVINGS = 5  # number of step lengths tried, each half the previous one: the end is found to 1/16 of a step
+PARTS = 400  # Number of steps in which a path is followed to see how far one motion leads: each is 1/400 of its length.
+HALVINGS = 5  # number of step lengths tried, each half the one before, so that the end is found to 1/16 of the first
 POSTURES = 16  # largest number of configurations at the first pose from which the path is followed
 
 
@@ -301,7 +302,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
     if rows == len(motion.curve):
         return 1.0
     reached = float(np.interp(motion.at[rows - 1], at, way)) if rows else 0.0
-    # The search does not bound the steps of an arm with too few joints, so the default largest step is used for it here.
+    # The search does not bound the joint steps of an arm with too few joints, so the default largest step is used here.
     most = (
         np.minimum(p.most, np.where(p.robot.slides, STEP[1], STEP[0]) / p.unit)
         if freedom(p.single, p.kinds).lacks

@@ -14,12 +14,13 @@ from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part, free_axis, what_counts
 
 SAMPLES = 8  # number of random configurations whose Jacobians are examined
-# Singular values of the Jacobian (lengths over the reach) below this count as zero: robot descriptions are rounded.
+# Singular values of the Jacobian (lengths over the reach) below this count as zero, because robot descriptions hold rounded
+# numbers.
 FLAT = 1e-5
 
 
 class Freedom(NamedTuple):
-    """Which components of the targets of a path the joints can change.
+    """How many components of a path's targets the joints can change, and whether these are too few to follow the path.
 
     rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian). lacks:
     whether this rank is too low to follow the interpolated poses between two poses.
@@ -30,7 +31,10 @@ class Freedom(NamedTuple):
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """Return which components of targets of these kinds (one per tip) can be changed by the joints whose weight is not 0."""
+    """Return how many components of targets can be changed by the joints whose weight is not 0, see `Freedom`.
+
+    plan: the solver's Plan; kinds: the kind of each tip's target (pose, position, ...).
+    """
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)
@@ -75,16 +79,17 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
 
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return by how much [m], [rad] (2, M-1) a curve's rows exceed the tolerances because the arm has too few joints.
+    """Return by how much [m], [rad] (2, M-1) a joint motion misses the interpolated poses because the arm has too few joints.
 
-    The result is 0 for an arm with enough joints. The result for a segment between two rows of the curve (M, n) is the larger of
-    the values at its two ends. at (M,): positions of the rows on the path through the poses T (N, F, 4, 4).
+    The errors are those beyond the tolerances, and 0 for an arm with enough joints. The result for a segment between two rows of
+    the curve (M, n) is the larger of the values at its two ends. at (M,): positions of the rows on the path through the poses T (N,
+    F, 4, 4).
     """
     return off_the_poses(plan, kinds, curve, at, T) if freedom(plan, kinds).lacks else np.zeros((2, len(curve) - 1))
 
 
 def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances at the interpolated poses.
+    """Return by how much [m], [rad] (2, M-1) the rows of a joint motion miss the interpolated poses, beyond the tolerances.
 
     The result for a segment is the larger of the values at its two ends. Unlike in `missed`, it is not 0 for an arm with enough
     joints.
@@ -96,10 +101,10 @@ def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T:
 
 
 def errors_at_rows(robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Any) -> np.ndarray:
-    """Return the counted errors [m], [rad] (N, 2) of each row of q (N, n) from its target, the largest of all tips.
+    """Return the errors that count [m], [rad] (N, 2) of each row of q (N, n) from its target, the largest of all tips.
 
-    The errors of a row of q that is not finite are NaN. T (N, ...): a target for each row; kinds: a target kind per tip; o: the
-    Options.
+    The errors of a row of q that is not finite are NaN. T (N, ...): a target for each row; kinds: the kind of each tip's target
+    (pose, position, ...); o: the options that say what counts.
     """
     errors = np.full((len(q), 2), np.nan)
     for t in np.flatnonzero(np.isfinite(q).all(axis=1)):

@@ -19,8 +19,8 @@ from ..solvers.task import counted_errors, group_levels, targets_met
 from .continuity import settle_on_targets
 from .freedom import freedom
 
-# Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
-# The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
+# Default of max_step, the largest step of a joint between two rows of a path [rad], [m], as in the planner CppFlow. The search
+# never uses smaller steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
 TOLERANCE = (1e-3, np.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
 # An arm with too few joints cannot follow interpolated poses, so the search must not bound steps and deviations: the bounds are
@@ -35,9 +35,9 @@ class Problem:
 
         most (n,): largest step of each joint between two poses [internal units], at least STEP
         deviation (2,): how far [m], [rad] a tip may leave the interpolated pose between two poses
-        poses (N, F, 4, 4): T with one axis for the tips
+        poses (N, F, 4, 4): T with an axis for the tips, even if there is only one
         at (N,): position of each pose on the path through the requested ones (3.5 is halfway from pose 3 to pose 4)
-        stand (n,): values [internal units] at which joints of weight 0 are held, from q0 or otherwise home
+        stand (n,): values [internal units] at which joints of weight 0 are held, those of q0 or else of home
         plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
         follower: a Plan that follows the path from one pose to the next; `single`, or one with the path's priority
         rows, ends, orders: the arrays of `single` that compiled functions take
@@ -59,7 +59,7 @@ class Problem:
         at: np.ndarray | None = None,
         follower: Plan | None = None,
     ) -> None:
-        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m], `at` and `follower` as for the class."""
+        """Prepare the arrays; max_step (rad, m): largest joint step; q0 (n,) [rad or m]; others: attributes of the class."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.solver, self.robot, self.plan, self.T, self.kinds = solver, robot, plan, T, kinds
         self.poses = T.reshape(len(T), -1, 4, 4)
@@ -73,7 +73,8 @@ class Problem:
         self.stand = (robot.home if q0 is None else q0) / self.unit
         able = freedom(self.single, kinds)
         turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
-        if able.lacks:  # Interpolated poses are out of reach for too few joints: motion is checked after the search.
+        # Too few joints cannot follow interpolated poses, so the motion is checked only after the search.
+        if able.lacks:
             self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -88,10 +89,10 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m]; if none converges, as `Solver` does.
+        """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m]; if none converges, search as `Solver` does.
 
-        Returns the solutions found (m, n) [internal units], with revolute joints shifted by 2 pi k to be nearest the middle of
-        their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
+        Returns the solutions found (m, n) [rad, or length over the reach], with revolute joints shifted by 2 pi k to be nearest the
+        middle of their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
         """
         single, n = self.single, self.robot.n
         T, out = np.repeat(self.T[t : t + 1], len(Q0), axis=0), np.zeros((len(Q0), single.width))
@@ -109,7 +110,7 @@ class Problem:
         return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [internal units], where joints that can turn by 2 pi are shifted by 2 pi k to be nearest mid-range."""
+        """Return Q (m, n) [rad, or length over the reach] with revolute joints shifted by 2 pi k to be nearest mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False
@@ -124,7 +125,7 @@ class Problem:
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Move Q (m, n) [internal units] onto the poses numbered t (m,); return them and whether each pose is reached (m,)."""
+        """Correct Q (m, n) [rad, or length over the reach] onto poses number t (m,); return Q, and whether (m,) each is reached."""
         rows, good = settle_on_targets(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good
 
@@ -135,8 +136,9 @@ class Minima(NamedTuple):
 
     starts: int = 200  # random starts from which the first pose is solved
     attempts: int = 20  # attempts at each pose, to test whether an arm of few joints reaches all of them
-    followed: int = 20  # largest number of local minima at the first pose that are followed along the path
-    # [rad, or length over the reach] a joint that moves further between two poses has changed its branch
+    # largest number of configurations at the first pose (local minima of the errors) that are followed along the path
+    followed: int = 20
+    # [rad, or length over the reach] If a joint moves further between two poses, it has changed to another branch of solutions.
     jump: float = 0.5
 
 
@@ -144,12 +146,12 @@ MINIMA = Minima()
 
 
 def all_reached(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None) -> bool:
-    """Return whether a few attempts reach each of the poses T (N, 4, 4) or (N, F, 4, 4); the first that is missed ends the test.
+    """Return whether each of the poses T (N, 4, 4) or (N, F, 4, 4) is reached in a few attempts; the first miss ends the test.
 
     Args:
         solver: A Solver without the option `priority`.
         T: The poses [m].
-        kinds: A target kind per tip.
+        kinds: The kind of each tip's target (pose, position, ...).
         q0: (n,) Start of the first attempt [rad or m], or None.
     """
     plan = solver.plan_for(kinds).varied(restarts=MINIMA.attempts - 1)
@@ -172,7 +174,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
     Args:
         solver: A Solver with the option `priority`.
         T: The poses asked for [m].
-        kinds: A target kind per tip.
+        kinds: The kind of each tip's target (pose, position, ...).
         q0: (n,) Start of the path [rad or m], or None.
     """
     plan = solver.plan_for(kinds)
@@ -188,7 +190,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
 
 
 def follower_of(plan: Plan) -> Plan:
-    """Return the Plan with one attempt, which changes no joint by more than the default largest step."""
+    """Return a copy of a Plan that makes one attempt and changes no joint by more than the default largest step."""
     return plan.varied(restarts=0, follow=STEP[0])
 
 
@@ -227,7 +229,7 @@ def _worth(
 
 
 class HalfTurns:
-    """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
+    """The P rotations by 180 degrees between neighbouring poses of a path, each of which may go either way round.
 
     One of the two ways is chosen by rotating the second pose by far less than its tolerance, so that the interpolation everywhere
     else is unique.
@@ -247,7 +249,7 @@ class HalfTurns:
             sine = 0.5 * np.linalg.norm(
                 np.stack([R[:, i, j] - R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2))]), axis=0
             )
-            # A rotation may be reversed if it differs from pi by less than a tenth of the tolerance.
+            # A rotation counts as one by 180 degrees if it differs from pi by less than a tenth of the tolerance.
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= 0.1 * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
                 # For a rotation of 180 degrees about the unit axis a, this is the matrix a a'.
@@ -260,7 +262,7 @@ class HalfTurns:
         self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
 
     def turn_round(self, gaps: list[int]) -> bool:
-        """Let the rotations of 180 degrees after the poses in `gaps` go the other way round; return False if there are none."""
+        """Let the rotations by 180 degrees after poses number `gaps` go the other way round; return False if there are none."""
         meant = np.isin(self.gaps, gaps)
         self.axes[meant] *= -1.0
         return bool(meant.any())
@@ -270,7 +272,7 @@ class HalfTurns:
         T = self._T.copy() if len(self.gaps) else self._T
         for p in np.argsort(self.gaps, kind="stable").tolist():
             k, f = self.gaps[p], self.tips[p]
-            # The chosen rotation is shorter than pi by 1e-10 rad, well above rounding (1e-16).
+            # The rotation is made shorter than pi by 1e-10 rad, which fixes its direction and is well above rounding (1e-16).
             T[k + 1, f, :3, :3] = exp((np.pi - 1e-10) * self.axes[p : p + 1])[0] @ T[k, f, :3, :3]
         return T
 

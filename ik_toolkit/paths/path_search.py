@@ -25,18 +25,18 @@ from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_fir
 class Effort(NamedTuple):
     """Constants that set how much work a search does."""
 
-    # if solutions are finitely many, every 20th pose is an anchor (solved from many starts), so that none is missed
+    # if a pose has finitely many solutions, every 20th pose is an anchor (solved from many starts), so that no branch is missed
     every: int = 20
     anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
     share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
     # largest number of tracks of all first anchors of a redundant robot, to bound the time of simple paths
     first: int = 300
-    tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
-    patience: int = 2  # The search ends if so many rounds of further anchors in a row have not made the path better.
-    rounds: int = 8  # For a proof, solutions that lie on no track are added in at most this many rounds; two are usual.
+    tried: int = 3  # number of solutions that are tested for contact, per track that an anchor may add
+    patience: int = 2  # The search ends after so many rounds of further anchors in a row without a better path.
+    rounds: int = 8  # largest number of rounds, for a proof, of adding solutions that lie on no track; two are usual
     # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
     near: float = 0.003  # With this margin the motion between poses is easily proven free of contact.
-    # After so many poses in a row without a solution, the others of a gap are solved with fewer attempts.
+    # After so many poses in a row without a solution, the other poses without tracks are solved with fewer attempts.
     probes: int = 9
     least: int = 20_000  # A search may make `budget` collision tests per pose of the path, and at least `least` in all.
     budget: int = 200
@@ -65,7 +65,7 @@ def _within(best: tuple[int, int], allowed: float) -> bool:
 
 
 class Found(NamedTuple):
-    """A path found: q (N, n) [internal units] and its tracks (N,); at poses that it does not pass q is NaN and the track -1.
+    """A path found: q (N, n) [rad, or length over the reach], tracks (N,); NaN and -1 at poses that it does not pass.
 
     breaks: poses after which it reconfigures; contacts: number of poses at which it is in contact.
     """
@@ -97,8 +97,8 @@ class Search:
     ) -> None:
         """Store the arguments of a search.
 
-        model: a CollisionModel or None; q0, q_end (n,) [internal units] or None: start and end of the path, or configurations near
-        which it starts and ends; seed: number that fixes the random starts; progress: function of a share (0 to 1) and a text.
+        model: a CollisionModel or None; q0, q_end (n,) [rad, or length over the reach] or None: start and end of the path, or
+        configurations near them; seed: number that fixes the random starts; progress: function of a share (0 to 1) and a text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None
@@ -111,14 +111,14 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        # all solutions (N, K, n) of the poses [internal units], and whether (N,) these are proven to be all; None: no list
+        # all solutions (N, K, n) of the poses [rad, or length over the reach], and whether (N,) they are proven to be all; or None
         self.listing, self.legal = self.list_solutions()  # legal (N, K): which of these solutions keep the joint limits
-        self.copied: set[int] = set()  # joints with a range above 2 pi whose tracks are copied with shifts by 2 pi
+        self.copied: set[int] = set()  # joints with a range above 2 pi in which tracks are copied with shifts by 2 pi
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
-        """From now on count q (n,) [rad or m] as in contact where the function collides(q) says so; forget earlier results."""
+        """From now on, test q (n,) [rad or m] for contact by the function collides(q); forget the results of earlier tests."""
         self.collides = collides
         self.tester = Tester(collides, self.problem.unit, max(EFFORT.budget * len(self.problem.T), EFFORT.least))
 
@@ -155,7 +155,7 @@ class Search:
         return tracks.size - before
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
-        """Return the first `count` of the configurations seeds (m, n) [internal units] that are free of contact.
+        """Return the first `count` of the configurations seeds (m, n) [rad, or length over the reach] that are free of contact.
 
         If all are in contact, return the first quarter of `count`, so that a path in contact can still be found.
         """
@@ -168,7 +168,7 @@ class Search:
         return np.array(free) if free else seeds[: max(1, count // 4)]
 
     def first_anchors(self) -> None:
-        """Begin a track, a joint motion along the path, from solutions of some poses, and from q0 and q_end if they fit."""
+        """Begin tracks (joint motions along the path) from solutions of some poses, and from q0 and q_end if they reach theirs."""
         p, N = self.problem, len(self.problem.T)
         for k, (q, t) in enumerate(zip(self.ends, (0, N - 1), strict=True)):
             if q is not None and self.solves(q, t):
@@ -187,12 +187,12 @@ class Search:
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
-        """Return whether q (n,) [internal units] reaches pose number t."""
+        """Return whether q (n,) [rad, or length over the reach] reaches pose number t."""
         moved, good = self.problem.settled(q[None], np.array([t]))
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses at which no track exists, in each gap in bisection order.
+        """Solve the poses at which no track exists: in each run of such poses the ends first, then the middle, and so on.
 
         Requested poses come before inserted ones, because an arm with too few joints may reach only the former. After EFFORT.probes
         in a row without a solution, the other requested poses are solved with fewer attempts, and inserted ones not at all.
@@ -219,7 +219,7 @@ class Search:
         self.found = self.best()
 
     def build(self) -> None:
-        """Build the dynamic program; tracks are copied with shifts by 2 pi of the joints in `copied`."""
+        """Build the dynamic program over the tracks, with copies of them in which the joints in `copied` are shifted by 2 pi."""
         p, tracks = self.problem, self.tracks
         Q, span = tracks.Q[:, : tracks.size], tracks.span
         self.wound = p.endless.copy()  # (n,) joints whose values count modulo 2 pi in the dynamic program
@@ -240,9 +240,9 @@ class Search:
             self.tester = self.tester.of(program)
 
     def best(self, allowed: float | None = None) -> Found:
-        """Return the best path to the last pose or, with `allowed`, to the farthest pose that this many reconfigurations reach.
+        """Return the best path to the last pose or, with `allowed`, to the farthest pose within this many reconfigurations.
 
-        If it turns a joint too far for its limits, tracks are copied with that joint shifted by 2 pi k, and it is sought again.
+        If a joint turns too far for its limits, tracks are copied with that joint shifted by 2 pi k, and a new path is sought.
         """
         while True:
             found, unfit = self.made(allowed)
@@ -290,7 +290,7 @@ class Search:
         """Search until the path has no reconfiguration or contact, or more anchors do not help; return the path."""
         self.first_anchors()
         self.link()
-        # A narrow passage may be free if the extra margin EFFORT.near is dropped.
+        # Without the extra margin EFFORT.near, a path through a narrow passage may be free of contact.
         if self.worth() and self.model is not None:
             self.keep_away(self.model.collides)
             self.link()
@@ -327,7 +327,7 @@ class Search:
             self.link()
         else:
             return
-        # A solution that only one pose between two complete ones lacks does no harm: passing it takes two reconfigurations.
+        # A pose that may lack solutions does no harm between two that have all: to use a missing one takes two reconfigurations.
         beside = np.pad(sure, 1, constant_values=True)
         known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
         if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
@@ -347,7 +347,7 @@ class Search:
         return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return whether (N, K) each of the solutions Q (N, K, n) [internal units] lies on a track, modulo 2 pi."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [rad, or length over the reach] lies on a track, modulo 2 pi."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):
@@ -359,7 +359,7 @@ class Search:
 
     # ---------------------------------------------------------------------------------------------------------- verdicts
     def worth(self) -> int:
-        """Return the cost of the best path: its reconfigurations, plus CONTACT for each pose in contact; 0 is best."""
+        """Return the cost of the path found: its reconfigurations, plus CONTACT for each pose in contact; 0 is best."""
         return self.found.contacts * CONTACT + len(self.found.breaks)
 
     def without(self, found: Found, steps: list[int]) -> bool:
@@ -384,7 +384,7 @@ class Search:
         said = []
         for t in np.flatnonzero((self.program.state == DEAD).all(axis=1)):
             place = self.problem.at[t]
-            if place != round(place):  # This pose was inserted, not asked for.
+            if place != round(place):  # An inserted pose is not reported.
                 continue
             beyond, reason, proven = self.anchored.get(int(t), 0.0), "no solution found", False
             if t not in self.anchored:

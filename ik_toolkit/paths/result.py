@@ -28,9 +28,9 @@ class PathStatus(Enum):
 
 
 class Reconfiguration(NamedTuple):
-    """A change to another branch of solutions between pose `index` and the next one.
+    """A reconfiguration: a jump of the joints to another branch of solutions, between pose `index` and the next one.
 
-    move (n,): difference of the joint values after and before it [rad or m].
+    move (n,): joint values after the jump minus those before it [rad or m].
     """
 
     index: int
@@ -47,10 +47,10 @@ class Unreachable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PathResult:
-    """A joint motion through N poses (read-only).
+    """Result of `solve_path`: a joint motion through N poses, and what is proven about it (read-only).
 
     Attributes:
-        robot, targets, kinds, options: the request; targets (N, F, 4, 4) [m] for F tips, kinds: a target kind per tip.
+        robot, targets, kinds, options: the request; targets (N, F, 4, 4) [m] for F tips, kinds: the kind of each tip's target.
         q: (N, n) [rad or m], a solution of each pose, NaN where a pose is not reached.
         status, message: how the search ended, and one sentence that says what to try.
         position_error: (N,) [m], the counted error at each pose, the largest of all tips, computed with Pinocchio.
@@ -91,7 +91,7 @@ class PathResult:
 
     @property
     def success(self) -> bool:
-        """Return whether all poses are reached, without contact, open loops or too many reconfigurations."""
+        """Return whether all poses are reached, without contact, open kinematic loops or more reconfigurations than allowed."""
         return self.status in (PathStatus.FOLLOWED, PathStatus.RECONFIGURES)
 
     @property
@@ -103,7 +103,8 @@ class PathResult:
     def clearance(self) -> float | None:
         """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked.
 
-        The free motion of a reconfiguration is not on the path: `Trajectory.clearance` of `retime` covers it, too.
+        The motion from one branch to another at a reconfiguration is not on the path; `Trajectory.clearance` of `retime` includes
+        it.
         """
         return self.continuity.clearance
 
@@ -279,7 +280,7 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion breaks between two rows
     for k in breaks:
-        # A contact at the last row is not followed by a step, so the last step is marked.
+        # A contact at the last row has no step after it, so the last step is marked.
         cut[min(int(np.searchsorted(at, k)), len(cut) - 1)] = True
     starts = np.flatnonzero(np.append(True, cut))
     ends = np.append(starts[1:], len(curve))

@@ -16,17 +16,18 @@ import numpy as np
 from ..compile.jit import cached_small, inline, inner
 from ..kernel.kinematics import TAU
 
-# A state is a track at a pose. DEAD: the state does not exist or violates a limit; the other codes say what is known about contact.
+# Codes for a state, which is a track (a continued solution) at a pose. DEAD: the state does not exist or violates a limit; the
+# others say what is known about contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# The parent of a state is the track k of the state before it on the best path, or -2 - k if a reconfiguration leads from there to
-# it. NONE marks a state without a parent.
+# The parent of a state is the track k of the state before it on the best path, or -2 - k if a reconfiguration lies between the two.
+# NONE marks a state without a parent.
 NONE = -1
 CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
 
 
 @inline
 def shortest_difference(d, endless):
-    """Return the joint value or difference d [rad]; if endless > 0, shifted by a multiple of 2 pi into the range from -pi to pi."""
+    """Return d, a joint value or a difference of two [rad]; if endless > 0, shifted by a multiple of 2 pi to between -pi and pi."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
@@ -34,8 +35,8 @@ def shortest_difference(d, endless):
 def step(Q, t, a, u, b, most, endless, price, longer, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
-    Q (N, K, n): configurations of the tracks; most (n,), endless (n,), price (3, n): see `link_layers`; longer: cost added once if
-    a joint moves further than `most`.
+    Q (N, K, n): configurations of the tracks; most (n,): largest step of each joint; endless (n,): 1 for joints that count modulo 2
+    pi; price (3, n): see `link_layers`; longer: cost added once if a joint moves further than `most`.
     """
     total, extra = 0.0, 0.0
     for i in range(most.shape[0]):
@@ -50,7 +51,7 @@ def step(Q, t, a, u, b, most, endless, price, longer, enough):
 
 @inner
 def barred(blocked, t, a, b):
-    """Return whether (t, a, b) is one of the sorted rows of blocked (B, 3), by binary search."""
+    """Return whether blocked (B, 3), whose rows are sorted, excludes the step from track a to track b at pose t."""
     low, high = 0, blocked.shape[0]
     while low < high:
         m = (low + high) // 2
@@ -76,10 +77,10 @@ def window(keys, size, low):
 
 @inner
 def read_layer(values, endless, state, counts, costs, order, near, keys):
-    """Write the states of one pose to `near`, and to `keys` their values of the joint that sorts them, in ascending order.
+    """List the states of one pose in ascending order of the value of one joint: tracks to `near`, joint values to `keys`.
 
-    All arrays are (K,) and hold this pose's part of those of `link_layers`; values: of that joint; endless: whether they count
-    modulo 2 pi. Returns the number of states and the one on which the best path to this pose ends (-1: none).
+    All arrays are (K,) and hold this pose's part of the arrays of `link_layers`; values: values of the joint; endless: whether they
+    count modulo 2 pi. Returns the number of states and the one on which the best path to this pose ends (-1: none).
     """
     size, best = 0, -1
     for a in order:
@@ -97,7 +98,7 @@ def link_layers(
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
-    Q (N, K, n): configurations of the tracks [internal units]
+    Q (N, K, n): configurations of the tracks [rad, or length over the reach]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
@@ -149,7 +150,7 @@ def link_layers(
 
 
 def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
-    """Return the indices (N, K) that sort the values (N, K) [internal units] of a joint at each pose, see `link_layers`."""
+    """Return the indices (N, K) that sort the values (N, K) of a joint on K tracks at each pose, see `link_layers`."""
     keys = values.astype(float)
     if endless > 0.0:
         keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
@@ -162,10 +163,10 @@ def layers_before(state: np.ndarray) -> np.ndarray:
     return np.append(-1, np.maximum.accumulate(last)[:-1])
 
 
-LONG = 1e3  # cost [internal units] of a step longer than allowed, more than the length of any path
-# cost of a reconfiguration in addition to its count; its own joint move is not part of the path and costs nothing
+LONG = 1e3  # cost of a step longer than allowed [rad, or length over the reach], more than the length of any path
+# cost of a reconfiguration, besides being counted; the joint move that it takes is not part of the path and costs nothing
 LEAP = 1.0
-# extra cost of an untested state that lies between two states in contact on its track, so that it is used only as a last resort
+# extra cost of an untested state between two states in contact on its track, so that it is used only if nothing else is left
 SUSPECT = 50.0
 HITS = 4  # number of states found in contact after which the dynamic program is first run again
 SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by whose value states are sorted
@@ -175,9 +176,9 @@ COARSE = 16  # After a first contact every track is tested at every 16th pose.
 class Program:
     """The dynamic program over K tracks and N poses; a track is one solution continued along the poses.
 
-    Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]. state (N, K): what
-    is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of reconfigurations and cost that a path pays
-    for beginning, or ending, on each track.
+    Q (N, K, n): configurations of the tracks [rad, or length over the reach], of which track k exists from pose span[k, 0] to
+    span[k, 1]. state (N, K): what is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of
+    reconfigurations and cost that a path pays for beginning, or ending, on each track.
     """
 
     def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
@@ -186,7 +187,7 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # At least two columns are needed, because the last row holds two prices.
+        # There are at least two columns, because the last row holds two prices.
         self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
@@ -201,7 +202,7 @@ class Program:
         self.order = sorted_tracks(Q[:, :, self.axis], self.endless[self.axis])
 
     def _telling(self) -> int:
-        """Return the joint that separates states best: the joint in which the fewest sampled pairs of states are within a step."""
+        """Return the index of the joint that separates states best: in it, the fewest sampled pairs are within the largest step."""
         N, K, n = self.Q.shape
         some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
         Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
@@ -222,7 +223,7 @@ class Program:
         self.changed = len(self.Q)
 
     def mark(self, t: int, k: int, touching: bool) -> None:
-        """Store whether track k is in contact at pose t."""
+        """Store that track k has been tested at pose t, and whether it is in contact there."""
         self.state[t, k] = TOUCHING if touching else FREE
         if touching:
             self.changed = min(self.changed, t)
@@ -242,7 +243,7 @@ class Program:
         return k, int(counts[k])
 
     def path(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tracks (t + 1,) of the best path to pose t, -1 at a pose without one, and where it reconfigures.
+        """Return the track (t + 1,) of the best path at each pose up to t (-1: none), and whether (t + 1,) it reconfigures there.
 
         A reconfiguration is marked at the pose after it.
         """
@@ -281,12 +282,12 @@ class Tester:
         """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): size of the internal units."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
-        # whether `look_over` has tested all tracks at every 16th pose, as it does after a first contact
+        # whether all tracks have been tested at every 16th pose, as `look_over` does after the first contact
         self.looked = False
 
     def of(self, program: Program) -> "Tester":
         """Test the states of another Program from now on, and return self; results for tracks that both programs have are kept."""
-        # Only two programs that share the memory of their tracks have the same tracks, in the same columns.
+        # Two programs have the same tracks in the same columns only if they share the memory of their tracks.
         if self.program is not None and np.shares_memory(self.program.Q, program.Q):
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
@@ -346,14 +347,14 @@ class Tester:
 
 
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
-    """Return the tracks (N,) of the best path whose states are all tested for contact, and where it reconfigures (N,).
+    """Return the track (N,) at each pose of the best path that is tested for contact at every pose, and where it reconfigures (N,).
 
     -1 marks a pose without a track; a reconfiguration is marked at the pose after it. When the budget of collision tests runs out,
     the best path so far is returned.
     """
     N = len(program.Q)
     order = middle_first(N)
-    # Each round looks for one more contact than the last before the dynamic program is run again, because running it takes time.
+    # Each round looks for one contact more than the round before until the dynamic program is run again, because a run takes time.
     for most in itertools.count(HITS):
         program.run()
         tracks, jumps = program.path(N - 1)

@@ -25,13 +25,14 @@ from .continuity import bounds, settle_between
 from .freedom import off_the_poses
 
 ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
-LEAST = 1e-9  # neighbouring rows of a curve that differ by less are merged [rad or m]
+LEAST = 1e-9  # neighbouring rows of a curve whose joints all differ by less are merged [rad or m]
 # largest move of a joint between two points at which a spline is examined [rad, or length over the reach]
 FINE = 0.0125
 FEWEST, MOST = 4, 64  # least and largest number of examined points between two rows
 # A pose at which the path turns by more than this angle [rad] is a corner, not a sample of a smooth curve.
 CORNER = math.radians(60.0)
-ARC = 1.25  # factor on the height of an arc over its chord (sagitta), because a spline deviates further from the chord than an arc
+# factor on the height of an arc over its chord (sagitta), because a spline leaves the chord further than an arc
+ARC = 1.25
 
 
 class Curve(NamedTuple):
@@ -164,7 +165,7 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
 
 
 def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return whether (N,) a tip's path turns by more than CORNER at each of the poses T (N, F, 4, 4); False at both ends."""
+    """Return whether (N,) the path of a tip turns by more than CORNER at each of the poses T (N, F, 4, 4); False at both ends."""
     found = np.zeros(len(T), dtype=bool)
     for f, kind in enumerate(kinds):
         chords = np.diff(T[:, f, :3, 3], axis=0)
@@ -178,8 +179,8 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
-    The result is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
-    whose kind is KIND.free are left out.
+    The result is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: the kind of each tip's target
+    (pose, position, ...); tips whose kind is KIND.free are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):
@@ -196,7 +197,7 @@ def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 class Arcs:
-    """Interpolation between poses T (N, F, 4, 4) by cubic splines from corner to corner.
+    """Interpolates between poses T (N, F, 4, 4) of a path by cubic splines from corner to corner.
 
     The interpolation is linear on a chord between two neighbouring corners, and on a chord that the tip may leave by less than an
     arc would (`allowed` (2, N-1) [m], [rad]).
@@ -258,9 +259,9 @@ def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.
 
 
 def coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Return the path length in joint space [internal units] up to each row (M,).
+    """Return the length of a joint path up to each row of a curve (M, n) [rad or m], as (M,): the path coordinate of its spline.
 
-    unit (n,): internal unit of each joint [rad or m].
+    The length is measured in units of `unit` (n,): 1 rad, or for a prismatic joint a length [m].
     """
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
 

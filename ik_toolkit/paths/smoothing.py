@@ -21,11 +21,12 @@ from ..kernel.null_space import OBJECTIVE, make_bounds, onto_target
 from ..kernel.records import SIZE, Ends, Orders, copy, read
 from ..kernel.vectors import largest
 
-# Weight of squared task errors against squared joint differences; a step reduces an error of 1e-2 rad to 1e-9 rad.
+# Weight of squared pose errors against squared joint steps; one Gauss-Newton step reduces an error of 1e-2 rad to 1e-9 rad.
 TASK_WEIGHT = 1e7
-RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even at poses that no difference involves
+# added to the diagonal, so that the system is positive definite even for joint values that no cost depends on
+RIDGE = 1e-9
 ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.
-PASSES = 4  # largest number of times a step is solved, each time with more joints held at their limits
+PASSES = 4  # largest number of times that a step is computed, each time with more joints held at their limits
 GAIN = 1e-4  # The iteration ends when a full step improves the cost by less than this share.
 GROW, SHRINK = 1.6, 0.3  # factors on the largest allowed joint move after an accepted and after a rejected step
 SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad, or length over the reach].
@@ -43,9 +44,9 @@ class PathPrice(NamedTuple):
 
 @inline
 def path_problem(rows, ends, orders, n, block):
-    """Return what a solve at the poses of a path needs: search problem, Orders, joint limits (Bounds), joint weights and `Ends`.
+    """Return what moving configurations onto poses needs: problem, Orders, joint limits (Bounds), joint weights and `Ends`.
 
-    Their arrays are views of the arguments, not copies.
+    rows, ends, orders: arrays of a Plan; n: number of joints; block: scratch memory. The results are views of these, not copies.
     """
     o = read(Orders, orders)
     first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
@@ -58,7 +59,7 @@ def path_problem(rows, ends, orders, n, block):
 
 @inner
 def cost_of(Q, price, longest):
-    """Return the cost of a path Q (N, n) [internal units], and its largest joint step as a multiple of `longest` (n,).
+    """Return the cost of a path Q (N, n) [rad, or length over the reach], and its largest joint step over `longest` (n,).
 
     The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short
     ones.
@@ -79,7 +80,10 @@ def cost_of(Q, price, longest):
 
 @inner
 def differences(Q, price, H, g):
-    """Write the gradient g (N n,) and the banded Hessian H (N n, 2 n + 1) of the cost that `cost_of` returns."""
+    """Write the gradient g (N n,) and the banded Hessian H (N n, 2 n + 1) of the cost of a path Q (N, n), see `cost_of`.
+
+    price: `PathPrice`. The Hessian is approximate: its part for the length of steps is that of weighted least squares.
+    """
     first, second, rounding = price
     N, n = Q.shape
     b = 2 * n
@@ -114,7 +118,7 @@ def differences(Q, price, H, g):
 
 @inner
 def held_system(H, g, held, A, x):
-    """Write the system H x = -g to A (its matrix) and x (its right-hand side), with the steps of held coordinates 0.
+    """Write the system H x = -g to A (its matrix) and x (its right-hand side), with steps of 0 for held coordinates.
 
     held (N n,): whether a coordinate is held; its row and column are replaced by those of the identity.
     """
@@ -130,9 +134,10 @@ def held_system(H, g, held, A, x):
 
 @spliced
 def linearise(p, o, T, now, fixed, H, g):
-    """Add the linearised task errors at every pose of the path `now` (N, n) to the Hessian H and gradient g.
+    """Add the linearised pose errors along the path `now` (N, n) to the Hessian H and the gradient g of its cost.
 
-    T (N, ...): the targets; poses marked in `fixed` (N,) are left out, because they do not move.
+    p, o: the compiled problem and its options (Orders); T (N, ...): the targets; poses marked in `fixed` (N,) are left out, because
+    they do not move.
     """
     s, n, m = p.desk, now.shape[1], p.width()
     b = 2 * n
@@ -187,7 +192,9 @@ def newton_step(H, g, now, fixed, weights, box, held, A, x):
 def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
     """Write to trial (N, n) the path now + factor * x, clipped to the limits and corrected onto every target.
 
-    good (N,): whether each pose was on its target before. Returns False if such a pose cannot be corrected.
+    p, o: the compiled problem and its options (Orders); T (N, ...): the targets; x (N n,): the step; fixed (N,): poses that do not
+    move; good (N,): whether each pose was on its target before; weights (n,): joint weights; box: joint limits. Returns False if a
+    pose that was on its target cannot be corrected.
     """
     s, n = p.desk, now.shape[1]
     fine = True

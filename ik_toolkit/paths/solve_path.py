@@ -42,10 +42,10 @@ from .path_problem import (
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
-# Largest number of further searches that reverse rotations of 180 degrees where the path breaks.
+# Largest number of further searches, each with rotations by 180 degrees reversed where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
-EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
+EXACT = 1e-13  # An exact rotation matrix R has entries of R'R - 1 below this; rounding is 1e-15.
 NOT_HERE = (
     "closest", "objective", "history", "follow", "check", "max_evaluations", "timeout", "restarts", "max_iterations", "q0_outside",
 )  # fmt: skip
@@ -107,7 +107,7 @@ def solve_path(
     _check(options, progress)
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
-    robot, seed = solver.robot, solver.options.seed  # the limits may be narrower; a seed of 1.0 is now 1
+    robot, seed = solver.robot, solver.options.seed  # This robot may have narrower limits; a seed of 1.0 is now 1.
     T, kinds = _read(robot, poses)
     step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
@@ -145,12 +145,12 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # Fewer might do if other rotations by 180 degrees were reversed.
+            search.lower_bound = None  # With rotations reversed, fewer reconfigurations might do.
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
         if wanted is None and (search.found.breaks or not settled) and len(search.problem.T) > len(T):
-            # Near a singular pose a motion that misses inserted poses may still keep the path tolerance.
+            # Near a singular pose a motion that misses poses inserted by the search may still keep the path tolerance.
             other = fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max()))
             other.run()
             _share_bound(search, other)
@@ -184,7 +184,7 @@ def _by_levels(solver: Solver, T: np.ndarray, kinds: tuple, poses: Any, given: d
     The Solver counts whole poses: what a mask or a free turn leaves free stays as it is at the nearest poses, because with other
     values other poses would be the nearest.
     """
-    kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority that such targets give nothing to do
+    kernel_tasks(solver.robot, kinds, solver.options)  # refuses a priority without effect on such targets
     robot, exact = solver.robot, {**options, "priority": None, "slack": None}
     strict, met = Solver(robot, seed=given["seed"], **exact), None
     if not freedom(strict.plan_for(kinds), kinds).lacks or all_reached(strict, T, kinds, given["q0"]):

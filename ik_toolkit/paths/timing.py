@@ -23,9 +23,9 @@ from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 GRID = 200
 TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
-ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
+ROUNDED = 1e-9  # share by which a time law is slowed down to allow for rounding
 MOST_SAMPLES = 1e7  # A trajectory of more samples is refused, because such a rate must be a mistake.
-# positions on the path (none: NaN) of the two ends of a free motion from one branch to another, which is not on the path
+# positions on the path of the two ends of a free motion from one branch to another: NaN, because it is not on the path
 NOWHERE = np.full(2, np.nan)
 KEPT = 0.99  # A tip counts as keeping the requested speed if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
@@ -271,13 +271,13 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 # ------------------------------------------------------------------------------------------------------------- the times
 def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
-    """Return a piece with its time-optimal law, from rest to rest; limits also hold between the grid points.
+    """Return a piece of a path with its time-optimal motion, from rest to rest; limits also hold between the grid points.
 
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
     knots = piece.knots
-    # The tip keeps its limit at the fastest point around each grid point and is slower elsewhere, so a tip speed that is to be kept
-    # needs a finer grid.
+    # The tip reaches its speed limit only at the fastest point around each grid point and is slower elsewhere, so a tip speed that
+    # is to be kept needs a finer grid.
     points = GRID if tip_speed == math.inf else 10 * GRID
     between = max(2, math.ceil(points / (len(knots) - 1)))
     step = np.diff(knots) / between

@@ -33,7 +33,7 @@ WORDS = (*COUNTING, "relative_to", "priority", "length_scale")  # names of the o
 
 
 def even(robot: Robot | Tree, options: Options) -> np.ndarray:
-    """Return weights (6,) for position errors (in arm reaches) and rotation errors [rad], so that 1 rad counts as length_scale [m].
+    """Return weights (6,) of position errors [arm reaches] and rotation errors [rad] with which 1 rad counts as length_scale [m].
 
     The geometric mean of the weights is 1, so singular values keep their magnitude.
     """
@@ -42,7 +42,7 @@ def even(robot: Robot | Tree, options: Options) -> np.ndarray:
 
 
 class Published:
-    """Drives a robot by one of the tracking methods cv, av, ca, aa, aad (see `Method`)."""
+    """Makes a tracker follow its target by a control law: one of the methods cv, av, ca, aa, aad (see `Method`)."""
 
     waits = True  # if the error exceeds its tolerance, `track` slows the clock by which the reference is run through
 
@@ -52,9 +52,9 @@ class Published:
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
-        # whether the caller chose the gains
+        # whether the caller chose the gains of the method; if not, they follow from the sample time
         self.chosen = any(one is not None for one in (method.kappa, method.kp, method.share))
-        self.memory = robot.n  # length of the method's memory between steps
+        self.memory = robot.n  # number of values that the method keeps from one step to the next
         self.loop = servo()
         self.options: Options = make_options(dict(counting))
         what_counts(robot, self.options)
@@ -70,7 +70,7 @@ class Published:
         vars(self).update(state, loop=servo())
 
     def settings(self, h: float) -> dict[str, float]:
-        """Return the method's gains and options in use at sample time h [s], by name."""
+        """Return the gains and options that the method uses at sample time h [s], by name."""
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
 
     def check(self, h: float) -> GainCheck | None:
@@ -82,12 +82,14 @@ class Published:
         return pack_law(self.method, h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the compiled loop reads of the task; kinds: kind of target (KIND.pose or KIND.position) of each tip.
+        """Return the task as arrays for the compiled loop: which errors count, and how much.
+
+        kinds: kind of target (KIND.pose or KIND.position) of each tip.
 
         Returns:
-            A flat array of the task's numbers (Orders, a Task for each tip, joint weights), and an array (4, m) with a column for
-            each error: its weight, its slack (dead band) in
-                arm reaches or rad, the same slack in m or rad, and the weight of its level relative to level 0.
+            A flat array (the fields of `Orders`, those of a `Task` for each tip, joint weights), and an array (4, m) with a column
+                for each error: its weight, its slack (dead band) in arm reaches or rad, the same slack in m or rad, and the weight
+                of its priority level relative to level 0.
         """
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
@@ -106,7 +108,7 @@ class Published:
 
 
 class RuleSteps:
-    """Drives a robot by an iterative solver: one iteration per sample; the solver's state is kept between samples."""
+    """Makes a tracker follow its target by an iterative solver: one iteration per sample; the solver's state is kept in between."""
 
     gamma = 1.0
     chosen = False
@@ -141,16 +143,17 @@ class RuleSteps:
         return None
 
     def law(self, h: float) -> np.ndarray:
-        """Return an array in the order of the fields of `Law`: zeros except gamma = 1 and the damping of the pseudo-inverse."""
+        """Return an array in the order of the fields of `Law`. A solver needs only gamma = 1 and a damping; all gains are 0."""
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return a flat array of the task's numbers for the compiled loop, and an array (4, m) whose first row weights the errors.
+        """Return the task for the compiled loop: a flat array for the solver, and one (4, m) whose first row weights the errors.
 
-        kinds: a target kind per tip. The weights are only for null-space motion, and are 0 where no position error, or no rotation
-        error, of a tip counts. The other rows are neutral, as the solver's iteration handles slack itself.
+        kinds: kind of target (KIND.pose or KIND.position) of each tip. The weights are only used for null-space motion. They are 0
+        where no position error, or no rotation error, of a tip counts. The other rows are those of errors without slack and of one
+        priority level, because the solver's iteration handles both itself.
         """
         counts = np.ones((4, 6 * len(kinds)))
         counts[1:3] = 0.0
@@ -162,14 +165,14 @@ class RuleSteps:
 def bind(
     robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any], known: Iterable[str]
 ) -> Published | RuleSteps:
-    """Return the object that drives a robot by a tracking method (`Published`) or by a solver's iteration (`RuleSteps`).
+    """Return what makes a tracker follow its target: a control law (`Published`) or the iteration of a solver (`RuleSteps`).
 
     Args:
         robot: The robot.
         method: Name of a method or solver, a Method, or a solver's rule (its iteration).
         limits: Whether joint limits apply.
         options: Options of the method, and those that say which errors count.
-        known: Names of the caller's own options, which an error message may suggest for a misspelt one.
+        known: Names of further options of the calling function, which an error message may suggest for a misspelt one.
 
     Raises:
         InvalidOption: There is no such method, or it does not take one of the options.
@@ -190,7 +193,7 @@ def is_published(method: Any) -> bool:
 def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> None:
     """Raise InvalidOption if there is no such method, or if it does not take one of the options.
 
-    known: names of the caller's own options, which the error message may suggest.
+    known: names of further options of the calling function, which the error message may suggest for a misspelt one.
     """
     if is_published(method):
         name = method if isinstance(method, str) else method.name

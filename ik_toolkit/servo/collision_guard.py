@@ -21,14 +21,15 @@ CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten tim
 class GuardThresholds(NamedTuple):
     """Constants that set how the arm is slowed near obstacles, and how much work goes into proving a step free of contact."""
 
-    # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
+    # [m] distance from obstacles that the inequalities keep; in slow motion a real robot lags behind its commands by less
     keep: float = 0.005
     influence: float = 0.1  # [m] distance between two bodies below which their inequality applies
-    # [m/s] approach speed allowed at the distance `influence`; it falls linearly to 0 at `keep`, with a time constant of 0.1 s
+    # [m/s] speed at which two bodies may approach each other at the distance `influence`; it falls linearly to 0 at the distance
+    # `keep`
     speed: float = 1.0
-    # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
+    # [m per rad or m] If all coefficients of an inequality are smaller, it is dropped, because no joint changes the distance.
     flat: float = 1e-9
-    # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
+    # An inequality counts on the braking only of joints whose coefficient exceeds this share of the largest one.
     share: float = 0.1
     nearest: float = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
     # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
@@ -42,7 +43,7 @@ GUARD = GuardThresholds()
 
 
 class Path(NamedTuple):
-    """A step and the braking to rest after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
+    """A step and the braking to rest after it, in K pieces: joint values, rates and distances covered (K + 1, n) at their ends.
 
     The first piece lasts h [s]. Joints brake together: even [1/s] is the share of the rates at which braking begins that they lose
     per second. The last row of `rate` is not the rate at the end, which is 0, but holds the rates at which braking begins. alone
@@ -69,7 +70,7 @@ class Guard:
         gamma: Weight of the new rate in a step, q' = q + h ((1 - gamma) rate + gamma rate').
 
     Attributes:
-        pairs: Names of the pairs of bodies behind the last inequalities.
+        pairs: Names of the pairs of bodies that the last inequalities keep apart.
         blocked: Names of the pair of bodies because of which the last step was refused, or None.
     """
 
@@ -88,7 +89,7 @@ class Guard:
         """Read the obstacles and the margins of the collision model as they are now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
-        # Two parts of a robot may be closer than GUARD.keep at home; then half of their distance there is kept.
+        # Two links of a robot may be closer than GUARD.keep in its home configuration; then half of their distance there is kept.
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, GUARD.keep), GUARD.keep)
 
@@ -122,7 +123,7 @@ class Guard:
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Measure all distances at q (n,) [rad or m]; return the names of a pair of bodies in contact there, or None."""
-        if self._version != self.model.version:  # A shape of the collision model was added, moved or removed.
+        if self._version != self.model.version:  # a shape of the collision model was added, moved or removed
             self._bind()
         self._space.forget()
         self._space.place(q)
@@ -130,7 +131,7 @@ class Guard:
         self._low = self._space.distances() - self._space.margins
         # (P,) whether the distance of each pair was measured at q; if not, only a bound is known
         self._fresh = np.ones(len(self._low), dtype=bool)
-        self._known = False  # whether the joint Jacobians of all bodies at q are known
+        self._known = False  # whether the joint Jacobians of all bodies have been computed at q
         # (P,) [m] how much closer each pair can come, at most, during the last step taken and the braking after it
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
@@ -157,7 +158,7 @@ class Guard:
         space.place(q)
         space.move()
         self._known = True
-        # Distances that are known are measured again, because an inequality also needs the nearest points.
+        # Distances that were measured before are measured again, because an inequality also needs the nearest points.
         self._fresh[ks] = False
         self._measure(ks)
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
@@ -220,7 +221,7 @@ class Guard:
 
     def _braking(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the joint values and rates of `brake`, and the ratio of these rates to those with which the braking began."""
-        # If the arm did not get here by a step that this guard proved, no braking motion has been proven yet.
+        # No braking motion is known yet if this guard has not proven the step that led here.
         if self._path is None:
             self._take(q[None], rate[None], h, anyway=True)
         if (path := self._path) is None:
@@ -265,7 +266,8 @@ class Guard:
                 space.place(Q[0])
                 self._measure(doubtful)
             blocked = self._prove(path, doubtful, levers)
-            # The proof has placed the bodies of the model elsewhere, so their Jacobians and nearest points at q are lost.
+            # The proof has moved the bodies of the collision model to other configurations, so their Jacobians and nearest points
+            # at q are lost.
             self._known = False
             self._fresh[:] = False
             if not (blocked is None or anyway):

@@ -41,34 +41,35 @@ from .workspace import START, STATE
 SHARE = 2.0 / 3.0
 # [1/s] rate at which the null-space velocity converges to the desired velocity; with a lower rate joints run into limits
 TAKEN_UP = 20.0
-# [rad/s or arm reaches/s] desired null-space speed at which the rate TAKEN_UP is halved, so that the motion fades
+# [rad/s or arm reaches/s] desired null-space speed at which the rate TAKEN_UP is halved; it falls to 0 with the speed, so that the
+# motion ends smoothly
 LITTLE = 0.004
-# Shares of the speed and acceleration limits used to close an error; following the path may need the rest.
+# Shares of the joints' speed and acceleration limits used to close an error; following a moving target may need what remains.
 FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """What differs from step to step besides the arrays: the number of inequality constraints, and the step's length h [s]."""
+    """Two numbers that may change with every step: how many inequality constraints apply, and the step's length h [s]."""
 
     rows: int
     h: float
 
 
 class Published(NamedTuple):
-    """Passed in place of a solver's rule (iteration) to select the published control laws, all compiled into one loop."""
+    """Selects the control laws (cv, av, ca, aa, aad) in the compiled loop, where a solver would pass the class of its iteration."""
 
     unused: float
 
 
 @inline
 def target_of(s):
-    """Return the target's error and motion as a `TargetMotion`, whose arrays are those of s, the scratch arrays of a step."""
+    """Return the target's error and motion as a `TargetMotion`; its arrays are part of s, the scratch arrays of a step."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Return the Jacobian and the factor for its pseudo-inverse as a `PseudoInverse`, whose arrays are those of s (`Bench`)."""
+    """Return the Jacobian and the factor for its pseudo-inverse as a `PseudoInverse`; its arrays are part of s (`Bench`)."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
@@ -76,9 +77,10 @@ def inverse_of(s):
 def desired_null_velocity(law, s, limits, wish, base):
     """Write to s.g (n,) the desired null-space velocity; return False, with s.g undefined, if there is none.
 
-    It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the
-    null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
-    law: `Law`; s: `Bench`; limits (4, n), wish (3, n): as in `Settings`.
+    It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the null
+    space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds. law: the
+    method and its gains (`Law`); s: scratch arrays of the step (`Bench`); limits (4, n): lower, upper, speed, acceleration; wish
+    (3, n): posture, gain towards it [1/s], additional joint velocity.
     """
     n, m = s.J.shape
     if law.mode == MODE.clip:
@@ -117,10 +119,10 @@ def shift_by_secondary(law, s, limits, wish, rate, h):
 def add_secondary_motion(law, s, given, ratio, h, memory):
     """Add the secondary motion in the null space to the commanded rates s.x (n,) of a published law.
 
-    Methods cv and ca extrapolate from their previous command, `memory` (n,). It receives the motion, too, because the tip would
-    leave its path if only part of the command were extrapolated. At acceleration level (methods ca, aa, aad) the present null-space
-    velocity converges to the desired velocity, at a rate that fades to 0 with the desired speed. given: `Settings`; h [s]: this
-    step; ratio: h over the length of the last step.
+    Methods cv and ca extrapolate from their previous command, `memory` (n,). The motion is added to `memory` as well, because the
+    tip would leave its path if only part of the command were extrapolated. At acceleration level (methods ca, aa, aad) the present
+    null-space velocity converges to the desired velocity, at a rate that fades to 0 with the desired speed. given: `Settings`; h
+    [s]: this step; ratio: h over the length of the last step.
     """
     if desired_null_velocity(law, s, given.limits, given.wish, s.x):
         n, kept, share = s.g.shape[0], 0.0, 1.0
@@ -141,8 +143,9 @@ def add_secondary_motion(law, s, given, ratio, h, memory):
 def feed_back(law, s, limits, now, heavy, beyond):
     """Shrink the error to be corrected (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
 
-    limits (4, n): as in `Settings`; now: `Moment`; heavy: largest weight of an error; beyond: whether the target is out of reach.
-    Returns whether joint limits or inequality constraints block the way that the error asks for.
+    law: the method and its gains (`Law`); s: scratch arrays of the step (`Bench`); limits (4, n): lower, upper, speed,
+    acceleration; now: `Moment`; heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether
+    joint limits or inequality constraints block the joint motion that would close the error.
     """
     n, m = s.J.shape
     if beyond:
@@ -152,7 +155,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
         limited = limited or limits[LIMIT.acceleration, i] < np.inf
     if not limited:
         return False
-    # The error along directions removed from the task is left out, because no other direction can close it.
+    # The error along singular directions that are removed from the task is left out, because no other direction can close it.
     size, gone = dot(s.e, s.e, m), 0.0
     for k in range(m):
         if s.lost[k] > 0.0:
@@ -167,7 +170,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def bend_as_allowed(law, s, rate, blocked):
-    """Shorten the rates expected for this step, with which dJ/dt is evaluated (s.x2, and s.x1 for reading 3), to what limits allow.
+    """Shorten the joint rates at which dJ/dt is evaluated for this step (s.x2, and s.x1 for reading 3) to what limits allow.
 
     For rates that the joints cannot reach, the terms with dJ/dt are large and wrong: two hands lost their grip by up to 20 mm.
     rate (n,): present joint rates; blocked: whether limits block the correction of the error; s.x2 then becomes 0.
@@ -188,9 +191,9 @@ def bend_as_allowed(law, s, rate, blocked):
 def by_law(law, rule, task, look, weights, s, given, own, now):
     """Write to s.x (n,) the joint rates that a published tracking method commands.
 
-    law: `Law`; task, look: the compiled problem and its evaluation at s.at; s: `Bench`; given: `Settings`; own: `Carried`; now:
-    `Moment`. Returns the number of singular directions removed from the task, or in mode clip the squared damping of the
-    pseudo-inverse.
+    law: the method and its gains (`Law`); task, look: the compiled problem and its evaluation at the joint values s.at; s: scratch
+    arrays of the step (`Bench`); given: inputs of the tracker (`Settings`); own: its state (`Carried`); now: `Moment`. Returns the
+    number of singular directions removed from the task, or in mode clip the squared damping of the pseudo-inverse.
     """
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
@@ -211,8 +214,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
         if not weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         weighed = True
-        # `by_modes` needs the axis of an error that its slack takes out of the task as a task direction of its own. The directions
-        # of the last singular pose may mix axes, so the decomposition does not begin from them.
+        # An error with slack is not in the task, and `by_modes` needs its axis as a task direction of its own. The directions found
+        # at the last singular pose may mix axes, so the decomposition does not begin from them.
         if any_of(given.counts[1]):
             clear(own.basis[0])
         modes(s.J, own.basis, s.W, s.U, s.sv)
@@ -267,7 +270,7 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
 
 
 def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Write the commanded joint rates to s.x (n,), by `by_law` (published laws) or `by_rule` (solvers).
+    """Write to s.x (n,) the joint rates that a control law (`by_law`) or the iteration of a solver (`by_rule`) commands.
 
     This version runs without numba, which compiles the overload below instead.
     """
@@ -284,7 +287,7 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def shift_joints(law, rule, s, limits, wish, rate, h):
-    """Return whether joint values were shifted by `shift_by_secondary`; for a published law they are not.
+    """Shift the joint values by `shift_by_secondary` for a solver; return whether that was done. A control law needs no shift.
 
     This version runs without numba, which compiles the overload below instead.
     """

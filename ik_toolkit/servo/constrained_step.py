@@ -22,20 +22,20 @@ from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, STUCK, solve_levels
 
 
 class StepModes(NamedTuple):
-    """What gives way where limits leave too little room; the numbers of the tracker's option on_limit."""
+    """What a step gives up where joint limits do not allow the whole tip motion: the values of the tracker's option on_limit."""
 
     direct: int = 1  # the tip falls behind but keeps its direction
-    leave: int = 0  # the error is made as small as possible now
-    clip: int = 2  # each joint is clipped on its own, without the optimisation of this file
+    leave: int = 0  # the error is made as small as possible in this step
+    clip: int = 2  # each joint is clipped to its limits on its own, without the optimisation of this file
 
 
 class StepOutcomes(NamedTuple):
-    """Codes by which `constrain` says what it has found; from the code `short` on the task is done only in part."""
+    """Codes by which `constrain` says how well its joint rates do the task; from `short` on, part of the task is not done."""
 
     wanted: int = 0  # the desired rates are admissible and do the task; they are taken bit for bit
     met: int = 1  # the whole task is done
-    # Not all of the task can be done. What remains then damps the motion (`damp`), since joints would otherwise go to and fro at
-    # full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration).
+    # Not all of the task can be done. The motion is then damped in proportion to the remaining error (`damp`), since joints would
+    # otherwise go to and fro at full speed to do a little more of the task (tests/servo/test_chatter.py: ur5, a fast vibration).
     short: int = 2
     # the inequalities contradict each other or the bounds, and were loosened (tests/servo/test_obstacles.py)
     relaxed: int = 3
@@ -45,7 +45,7 @@ class StepOutcomes(NamedTuple):
 class StepMargins(NamedTuple):
     """Dimensionless constants of the optimisation of a step: two margins for rounding, a factor on damping, and a weight."""
 
-    # inequalities are loosened by this more than needed, so that a solution exists despite rounding
+    # inequalities that contradict each other are loosened by this much more than needed, so that a solution exists despite rounding
     loose: float = 1e-9
     # factor on the damping for the curvature that the linear model neglects; without it steps would zigzag; set by hand
     bend: float = 1.5
@@ -65,10 +65,10 @@ class TaskRate(NamedTuple):
 
     J: Array  # (n, m) transposed Jacobian, one row for each joint
     weight: Array  # (m,) weights of the task's rows; 0: the row does not count
-    heavy: Array  # (m,) weight with which a row that is not met damps the motion, see `damping`
+    heavy: Array  # (m,) weight of a row's remaining error in the damping of the motion, see `damping`
     ask: Array  # (m,) rate asked for in each row of the task
     want: Array  # (n,) desired joint rates
-    aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
+    aside: Array  # (n,) part of the desired rates along singular directions, which are left out of the task
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
     mode: int  # what gives way to limits: MODE.leave or MODE.direct
     h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
@@ -97,7 +97,7 @@ class StepTaken(NamedTuple):
 
 @inline
 def room_space(n, m, rows):
-    """Return the number of floats that `room_on` needs for n joints, m task rows and `rows` inequalities."""
+    """Return how many floats the memory of `constrain` takes for n joints, m task rows and `rows` inequalities, see `room_on`."""
     return program_space(n + m + 1, rows + m + 1)
 
 
@@ -115,7 +115,7 @@ def make_room(n, m, rows):
 
 @inline
 def fitting(asked, allowed):
-    """Return whether the desired rates keep all bounds and constraints and fulfil the task, so that no optimisation is needed."""
+    """Return whether the desired joint rates keep all bounds and constraints and do the whole task, so that they can be taken."""
     J, want = asked.J, asked.want
     n, m = J.shape
     for i in range(n):
@@ -138,8 +138,9 @@ def fitting(asked, allowed):
 def lay_out(room, asked, allowed, loose, fastest):
     """Write the quadratic program to the memory `room`, and return it, without task rows that no joint can change.
 
-    The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. asked: `TaskRate`; allowed:
-    `Allowed`; loose: amount by which inequalities are loosened.
+    The unknowns are the joint rates divided by the joints' speed limits, or by `fastest` if that is above 0. asked: the task and
+    the desired joint rates (`TaskRate`); allowed: bounds and inequalities (`Allowed`); loose: amount by which inequalities are
+    loosened.
     """
     J, unit, P, count, n = asked.J, room.scaling, room.P, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -161,7 +162,7 @@ def lay_out(room, asked, allowed, loose, fastest):
         for i in range(n):
             P[k, i] = asked.weight[c] * J[i, c] * unit[i]
         room.rhs[k] = asked.weight[c] * asked.ask[c]
-        # The next row overwrites a row that no joint can change, because such a row cannot be met.
+        # A task row that no joint can change cannot be met, so the next row overwrites it.
         if dot(P[k], P[k], n) > 0.0:
             k += 1
     return resized(room, n, count, k - count)
@@ -171,7 +172,8 @@ def lay_out(room, asked, allowed, loose, fastest):
 def share_allowed(asked, allowed):
     """Return the largest factor (0 to 1) by which all desired rates asked.want can be multiplied inside bounds and constraints.
 
-    If rates exceed the joints' speeds, all rates are first scaled down by one factor until none does.
+    If a rate exceeds the joint's speed limit, all rates are first scaled down by one factor until none does. asked: `TaskRate`;
+    allowed: bounds and inequalities (`Allowed`).
     """
     want, pace, share = asked.want, 1.0, 1.0
     for i in range(want.shape[0]):
@@ -192,10 +194,10 @@ def share_allowed(asked, allowed):
 def keep_straight(p, share):
     """Weight the task error across the direction asked for, so that the tip falls behind rather than leaves its path.
 
-    p: `TwoLevels`, changed in place; share: as returned by `share_allowed`. The weight is CAUTION.straight if nothing is blocked, 1
-    if no motion along the direction is possible, and linear between. Without this weight the tip leaves a line that is too fast for
-    the joints (tests/servo/test_motion_limits.py). With acceleration limits the weight is lower, as they block most of the motion
-    asked for while joints start and brake.
+    p: the quadratic program (`TwoLevels`), changed in place; share: how much of the motion asked for is possible, from
+    `share_allowed`. The weight is CAUTION.straight if nothing is blocked, 1 if no motion along the direction is possible, and
+    linear between. Without this weight the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py).
+    With acceleration limits the weight is lower, as they block most of the motion asked for while joints start and brake.
     """
     asked, first, end = 0.0, p.planes, p.planes + p.task
     for k in range(first, end):
@@ -231,7 +233,7 @@ def damp(p, aside, mu):
 
 @inner
 def least_slack(p):
-    """Return the least amount by which the inequalities of p (`TwoLevels`) must be loosened to be solvable, plus a margin.
+    """Return by how much the inequalities of p (`TwoLevels`) must at least be loosened to have a solution, plus a margin.
 
     The bounds stay as they are. This amount becomes unknown number n, and minimising it is the only task.
     """
@@ -261,7 +263,7 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Let the solver start from the constraints that were active in the last step: copy them from `taken` to `room`.
+    """Let the optimisation start from the constraints that were active in the last step: copy these from `taken` to `room`.
 
     rows: number of inequalities now.
     """
@@ -289,7 +291,7 @@ def answer(p, allowed, taken):
 
 @inline
 def least_damping(p):
-    """Return a damping mu so small that it changes the solution of p (`TwoLevels`) only where the task is almost singular."""
+    """Return a damping mu so small that it changes the solution of p (`TwoLevels`) only if the task is almost singular."""
     longest = 0.0
     for k in range(p.planes, p.planes + p.task):
         longest = max(longest, p.length[k])
@@ -322,8 +324,9 @@ def damping(p, asked):
 def constrain(asked, allowed, room, taken):
     """Find the joint rates that do the task as well as possible and, among those, are nearest to the desired ones.
 
-    asked: `TaskRate`; allowed: `Allowed`; room: memory for a `TwoLevels` problem; taken: `StepTaken`, which holds the active set of
-    the last step and receives the result. Returns a number of `StepOutcomes`.
+    asked: the task and the desired rates (`TaskRate`); allowed: bounds and inequalities (`Allowed`); room: memory for a `TwoLevels`
+    problem; taken: `StepTaken`, which holds the active set of the last step and receives the result. Returns a number of
+    `StepOutcomes`.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)

@@ -35,28 +35,30 @@ class DampedDescent(NamedTuple):
     """Thresholds by which an arm counts as stuck, and constants that adapt `share`, the factor in the damping mu of its descent."""
 
     stands: float = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
-    # [arm reaches, rad] error, weighted as at priority level 0, below which the tracking method continues without a damped descent
+    # [arm reaches, rad] below this error, weighted as at priority level 0, the tracking method continues without a damped descent
     small: float = 1e-4
-    stalled: float = 0.1  # [s] without progress after which an arm counts as stuck
-    # An arm makes progress if within `stalled` the weighted error falls by `progress`, or by what it would fall at `pace` times the
-    # rate that full joint speed allows, whichever is less.
+    stalled: float = 0.1  # [s] time without progress after which an arm counts as stuck
+    # An arm makes progress if the weighted error falls, within the time `stalled`, by `progress` or by `pace` times what full joint
+    # speed would allow, whichever is less.
     progress: float = 1e-3
     pace: float = 0.1
-    # Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
+    # Joints are idle if they move at no more than this share of the speed that the feedback asks for; usually they reach 0.3 or
+    # more.
     idle: float = 0.01
     reversing: float = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
-    reversals: float = 2.0  # An arm is stuck after this many joint reversals.
+    reversals: float = 2.0  # An arm counts as stuck after this many reversals of joints.
     forgotten: float = 0.1  # [s] time after which a reversal is forgotten, counted while the error is the least so far
-    first: float = 0.5  # initial value of the factor `share`
-    least: float = 0.02  # least value of the factor `share`; with a lower value joints turn back repeatedly
-    most: float = 16.0  # largest value of the factor `share`
-    turned: float = 8.0  # factor by which `share` is raised when joints turn back
-    raised: float = 2.0  # factor by which `share` is raised when the error does not fall
-    lowered: float = 0.9  # factor by which `share` is lowered while the error falls
+    first: float = 0.5  # initial value of `share`, the factor in the damping
+    # least value of `share`, the factor in the damping; with a lower one joints turn back repeatedly
+    least: float = 0.02
+    most: float = 16.0  # largest value of `share`, the factor in the damping
+    turned: float = 8.0  # factor by which `share`, and so the damping, is raised when joints turn back
+    raised: float = 2.0  # factor by which `share`, and so the damping, is raised when the error does not fall
+    lowered: float = 0.9  # factor by which `share`, and so the damping, is lowered while the error falls
     # After joints have turned back and `share` was raised, it must not fall below this fraction of the raised value for a while.
     # With `turned` it is 0.25 * 8 = 2 times the share at which they turned back.
     floor: float = 0.25
-    fading: float = 0.3  # [s] time constant with which this lower bound on the share fades
+    fading: float = 0.3  # [s] time constant with which the lower bound on `share` after a reversal fades
     brisk: float = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 
@@ -73,10 +75,11 @@ def feedback(law, h):
 def stuck(law, s, limits, share, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
-    s: `Bench`; h [s]: the step; share (m,): weight of each error's level relative to level 0; square: squared weighted error now;
-    `state` is updated. The target stands still if neither its twist s.f (m,) nor the difference between the errors now (s.e) and at
-    the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may give a zero twist for a target that
-    moves. In mode clip, which keeps to the published laws, the result is always False.
+    s: scratch arrays of the step (`Bench`); h [s]: length of the step; share (m,): weight of each error's priority level relative
+    to level 0; square: squared weighted error now; `state` is updated. The target stands still if neither its twist s.f (m,) nor
+    the difference between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough,
+    because a caller may give a zero twist for a target that moves. In mode clip, which keeps to the published laws, the result is
+    always False.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
@@ -98,7 +101,7 @@ def stuck(law, s, limits, share, square, h, state):
 def little(share, s):
     """Return whether the error s.e (m,) is below DESCENT.small, weighted as if all its components had the first priority level.
 
-    share (m,): weight of each component's level relative to the first one.
+    share (m,): weight of each component's priority level relative to the first one.
     """
     total = 0.0
     for k in range(share.shape[0]):
@@ -110,7 +113,8 @@ def little(share, s):
 def fastest(s, limits, error):
     """Return how much the weighted error would fall per second if all joints that are not at limits moved at full speed.
 
-    s: `Bench`; limits (4, n): as in `Settings`; error: norm of the weighted error now.
+    s: scratch arrays of the step (`Bench`); limits (4, n): lower, upper, speed, acceleration; error: norm of the weighted error
+    now.
     """
     total = 0.0
     for i in range(s.J.shape[0]):
@@ -124,10 +128,11 @@ def fastest(s, limits, error):
 
 @inner
 def notice(law, before, x, size, swings, code, square, h, state):
-    """Update `state` after a step from the rates `before` to x (n,): count the time in which joints are hindered, and reversals.
+    """Update, after a step, the time in which joints are hindered and the number of reversals, by which an arm counts as stuck.
 
-    In a damped descent the damping is adapted. size (n,): speed limit of each joint; swings (3, n): reversals of each joint, as
-    `viability.watch` counts them; code (n,): bits of the limits that held joints back; square: squared weighted error.
+    In a damped descent the damping is adapted instead. before, x (n,): joint rates before and after the step; size (n,): speed
+    limit of each joint; swings (3, n): reversals of each joint, as `viability.watch` counts them; code (n,): bits of the limits
+    that held joints back; square: squared weighted error.
     """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
@@ -144,7 +149,8 @@ def notice(law, before, x, size, swings, code, square, h, state):
         if turned and (hindered or held):
             state[STATE.turned] += 1.0
         elif error <= state[STATE.nearest]:
-            # Otherwise the reversals of a slow swing would be forgotten one by one, and the arm would never count as stuck.
+            # Reversals are forgotten only while the error is the least so far. In a slow oscillation they would otherwise be
+            # forgotten one by one, and the arm would never count as stuck.
             state[STATE.turned] = max(state[STATE.turned] - h / DESCENT.forgotten, 0.0)
     else:
         adapt(turned, error, h, state)
@@ -175,9 +181,10 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write the task of a damped least-squares step, with desired rates of 0, to s (`Bench`); return its damping mu.
+    """Write the task of a damped least-squares step, with desired joint rates of 0, to s (`Bench`); return its damping mu.
 
-    law: `Law`; limits (4, n): as in `Settings`; h [s]: the step; state: see `workspace.State`.
+    law: the method and its gains (`Law`); limits (4, n): lower, upper, speed, acceleration; h [s]: length of the step; state: see
+    `workspace.State`.
     """
     n, m = s.J.shape
     gain, limited, bent = feedback(law, h), False, 0.0
@@ -201,8 +208,8 @@ def descend(law, s, limits, h, state):
 def stop_in_time(s, limits, mu, h):
     """Narrow the rate bounds so that each joint can stop at the end of the move that a damped step without bounds would make.
 
-    Joints at a limit that would have to move beyond it do not take part in that move. s: `Bench`; limits (4, n): as in `Settings`;
-    mu: damping; h [s]: the step.
+    Joints at a limit that would have to move beyond it do not take part in that move. s: scratch arrays of the step (`Bench`);
+    limits (4, n): lower, upper, speed, acceleration; mu: damping; h [s]: length of the step.
     """
     n, m = s.J.shape
     for i in range(n):

@@ -27,7 +27,7 @@ def eight(
         center: Crossing point of the figure, as a pose or position, base frame [m].
         radius: Distance [m] from the centre to either end of the figure.
         normal: Normal (3,) of the figure's plane, base axes.
-        turns: How often the figure is run through.
+        turns: Number of times that the figure is run through.
         duration: Time for all turns [s].
         law: "constant" or "minimum-jerk".
     """
@@ -109,7 +109,7 @@ def joint_motion(
     """
     q0 = robot.home if q0 is None else robot.check_q(q0, "q0")
     up, down = np.maximum(robot.upper - q0, 0.0), np.maximum(q0 - robot.lower, 0.0)
-    # A joint moves by at most 0.15 rad (or arm reaches), and by at most half of the way to its farther limit.
+    # A joint moves by at most 0.15 rad (0.15 arm reaches if it is prismatic), and by at most half of the way to its farther limit.
     swing = np.where(up >= down, 1.0, -1.0) * np.minimum(0.15 * robot.chain.unit, 0.5 * np.maximum(up, down))
     turns = np.pi * (1.0 + np.arange(robot.n) % 2)
     if duration is None:

@@ -15,17 +15,18 @@ from ..kernel.records import Array
 from ..kernel.vectors import add_multiple, dot
 
 NONE = -1  # index that means "no constraint"
-SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.
-# Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976).
+SAME = 1e-10  # A row depends linearly on others if its part perpendicular to them is shorter than this share of its length.
+# If this share of a row's squared length remains after a pass of Gram-Schmidt, no second pass is needed (Daniel et al., 1976).
 CLEAR = 0.5
-# A squared length below this share of the original one is computed again, because subtraction has lost its digits.
+# A squared length that subtractions have brought below this share of its first value is computed again, because they have lost its
+# digits.
 DOUBTFUL = 1e-6
-ROUNDING = 1e-13  # A sum below this share of the sum of its terms' magnitudes is rounding.
+ROUNDING = 1e-13  # A sum below this share of its terms' added magnitudes is rounding.
 
 
 @compiled
 class Pair(NamedTuple):
-    """Multipliers with a part for each objective: first / eps + second in the limit eps -> 0, so that `first` always outweighs."""
+    """Lagrange multipliers with a part for each of two objectives: first / eps + second for eps -> 0, so that `first` outweighs."""
 
     first: Array
     second: Array
@@ -67,20 +68,20 @@ class TwoLevels(NamedTuple):
     length: Array  # (K,) norms of the rows of P
     # (K + N,) int8, for each constraint: 0 inactive, 1 active (a bound: the upper one), -1 held at the lower bound
     active: Array
-    now: Pair  # (K + N,) present multipliers; a multiplier has the sign of `active`
+    now: Pair  # (K + N,) present multipliers, each with the sign of its constraint's entry in `active`
     new: Pair  # (K + N,) multipliers of the last equality-constrained problem; for the task's rows `first` is P y - rhs
     b: Basis
 
 
 @inline
 def program_space(N, K):
-    """Return the number of floats that a problem with N unknowns and K rows needs."""
+    """Return how many floats the memory of a quadratic program (`TwoLevels`) with N unknowns and K rows takes."""
     return 2 * K * N + 3 * K * K + 10 * N + 14 * K + 26 * LINE
 
 
 @spliced
 def program_on(block, N, K):
-    """Divide an array of zeros into the arrays of a problem with up to N unknowns and K rows."""
+    """Divide `block`, a flat array of zeros, into the arrays of a `TwoLevels` program with up to N unknowns and K rows."""
     P, W, L, U = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K)))
     y, want, floor, roof, scaling = cut(block, np.float64, (N, N, N, N, N))
     first, second, new_first, new_second = cut(block, np.float64, (K + N, K + N, K + N, K + N))
@@ -95,7 +96,7 @@ def program_on(block, N, K):
 
 @inline
 def resized(p, size, planes, task):
-    """Return the problem with the same arrays but other numbers of unknowns, inequalities and task rows."""
+    """Return the program p (`TwoLevels`) with the same arrays but other numbers of unknowns, inequalities and task rows."""
     return TwoLevels(
         size, planes, task, p.y, p.want, p.floor, p.roof, p.scaling, p.P, p.rhs, p.length, p.active, p.now, p.new, p.b
     )
@@ -109,13 +110,13 @@ def is_free(p, i):
 
 @inline
 def slot(p, k):
-    """Return the index of row k of p.P in the arrays of multipliers, which are in the order inequalities, bounds, task rows."""
+    """Return where the multiplier of row k of p.P (`TwoLevels`) is stored. The order is inequalities, bounds, task rows."""
     return k if k < p.planes else k + p.size
 
 
 @inline
 def load(p, k):
-    """Copy row k of p.P (`TwoLevels`), without the held unknowns, to where Gram-Schmidt works on it, with no coefficients yet."""
+    """Begin Gram-Schmidt for row k of p.P (`TwoLevels`): copy it to b.W, without the held unknowns, and clear its coefficients."""
     for i in range(p.size):
         p.b.W[k, i] = p.P[k, i] if is_free(p, i) else 0.0
     for j in range(p.planes + p.task):
@@ -124,7 +125,7 @@ def load(p, k):
 
 @inline
 def remove(b, row, first, end, n):
-    """Subtract from a row of b.W (`Basis`), n entries, its parts along basis vectors first to end - 1, and note them in b.L."""
+    """Make a row of b.W (`Basis`), n entries, perpendicular to basis vectors first to end - 1; add the parts subtracted to b.L."""
     for j in range(first, end):
         base = b.W[b.order[j]]
         s = dot(b.W[row], base, n)
@@ -134,7 +135,7 @@ def remove(b, row, first, end, n):
 
 @inline
 def take_in(b, row, q, size, n):
-    """Make row `row` of b.W, n entries of the norm `size`, basis vector q of b (`Basis`) by dividing it by its norm."""
+    """Make a row of b.W (n entries of the norm `size`) basis vector number q of b (`Basis`), by dividing it by its norm."""
     b.L[row, q] = size
     for i in range(n):
         b.W[row, i] /= size
@@ -143,9 +144,10 @@ def take_in(b, row, q, size, n):
 
 @inline
 def basis_of_planes(p, last):
-    """Build an orthonormal basis of the active inequalities of p (`TwoLevels`) in the free unknowns, `last` after all others.
+    """Build an orthonormal basis of the active inequalities of p (`TwoLevels`) in the free unknowns.
 
-    Returns the number of basis vectors, and an active inequality that depends linearly on the others, or NONE.
+    last: the inequality that is added after all others, or NONE. Returns the number of basis vectors, and the index of an active
+    inequality that depends linearly on the others, or NONE.
     """
     b, q, dependent = p.b, 0, NONE
     for place in range(p.planes + 1):
@@ -218,8 +220,9 @@ def back(p, first, end, out, sign, lower):
 def equality(p, last):
     """Solve both objectives for y with all active constraints as equalities; write p.y and the new multipliers p.new.
 
-    p: `TwoLevels`. Returns NONE, or, without solving anything, an active inequality that depends linearly on the others (`last` if
-    it does). The inequality `last` is added to the basis after all other inequalities.
+    p: `TwoLevels`. last: the inequality that is added to the basis after all others, or NONE. Returns NONE if y was found.
+    Otherwise nothing is solved, and the index of an active inequality that depends linearly on the others is returned (`last` if it
+    does).
     """
     b = p.b
     n, K = p.size, p.planes + p.task
@@ -262,7 +265,7 @@ def equality(p, last):
 
 @inline
 def price_bounds(p, noise):
-    """Compute the multipliers of the active bounds of p (`TwoLevels`); parts `first` of multipliers up to `noise` become 0."""
+    """Compute the multipliers of the active bounds of p (`TwoLevels`); a part `first` of a multiplier up to `noise` becomes 0."""
     first, second = p.new.first[p.planes :], p.new.second[p.planes :]
     for i in range(p.size):
         first[i], second[i] = 0.0, p.want[i] - p.y[i]
@@ -318,12 +321,12 @@ def least_squares(p, planes, rank):
 
 @inline
 def closeness_of_task(p, planes, rank):
-    """Write the multipliers of linearly dependent task rows for the second objective to p.new: of all solutions the shortest.
+    """Write the multipliers of linearly dependent task rows for the second objective to p.new; of the many possible, the shortest.
 
     planes: number of basis vectors from inequalities; rank: number of basis vectors from task rows.
     """
     b, K = p.b, p.planes + p.task
-    for j in range(rank):  # forward substitution with the triangular factor R in b.U: R' along = -off
+    for j in range(rank):  # forward substitution with the triangular factor R, stored in b.U: R' along = -off
         s = -b.off[planes + j]
         for h in range(j):
             s -= b.U[K + h, j] * b.along[h]
@@ -335,7 +338,7 @@ def closeness_of_task(p, planes, rank):
 
 @inline
 def residual(p):
-    """Write the residuals P y - rhs of the task rows (all 0 if they are rounding); return a bound on rounding in multipliers.
+    """Write the residuals P y - rhs of the task rows (0 if all are rounding) to p.new; return a bound on the multipliers' rounding.
 
     The bound is the sum, over the task rows, of the residual's rounding error times the row's length.
     """

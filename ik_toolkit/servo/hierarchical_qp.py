@@ -20,15 +20,15 @@ from ..compile.jit import inline, inner
 from ..kernel.vectors import dot
 from .equality_qp import NONE, SAME, equality, is_free
 
-DONE, STUCK, CONTRADICTION = range(3)  # outcomes: solved, out of iterations, infeasible
-# tolerance of bounds and inequalities; the unknowns are ratios of joint rates to joint speeds, and callers clip them to bounds
+DONE, STUCK, CONTRADICTION = range(3)  # how `solve_levels` ended: solved, out of iterations, infeasible
+# tolerance of bounds and inequalities; the unknowns are ratios of joint rates to speed limits, and callers clip them to bounds
 OUT = 1e-12
 SAME_TASK = 1e-9  # The task counts as met if its residual's norm is at most this share of the right side's norm.
 
 
 @inline
 def wrong(one, two, side):
-    """Return by how much a multiplier (one / eps + two) is on the wrong side of zero; 0 if its sign is right.
+    """Return by how much a multiplier (one / eps + two, for eps -> 0) is on the wrong side of zero; 0 if its sign is right.
 
     side: the right sign, 1 or -1. A wrong first part gives a value above 1, so that it always counts more than a wrong second part,
     which counts only above 1e-11, where it is not rounding.
@@ -66,7 +66,7 @@ def violated(p):
 
 @inline
 def may_leave(p, c):
-    """Return whether constraint c of p (`TwoLevels`) is active and may be dropped; a bound that equals the other one may not."""
+    """Return whether constraint c of p (`TwoLevels`) is active and may be dropped; a bound may not if both bounds are equal."""
     i = c - p.planes
     return p.active[c] != 0 and (i < 0 or p.floor[i] < p.roof[i])
 
@@ -111,14 +111,15 @@ def begin(p, cold):
 
 @inner
 def solve_levels(p):
-    """Solve the problem p, starting from the active set stored in p, which is replaced by the final one.
+    """Solve the quadratic program p (`TwoLevels`), starting from the active set stored in p, which is replaced by the final one.
 
     Returns DONE, STUCK (out of iterations) or CONTRADICTION (the inequalities and bounds have no common solution).
     """
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
+        # First, constraints of the initial active set are dropped if their multipliers have the wrong sign; then violated ones are
+        # added.
         adding = False
         for _ in range(10 * (p.planes + p.size)):
             dependent = equality(p, new if new < p.planes else NONE)
@@ -147,7 +148,7 @@ def solve_levels(p):
 
 @inline
 def share(now, new, at, side):
-    """Return how far multiplier number `at` can move from its value in `now` to that in `new` (Pair) before its sign is wrong.
+    """Return how far multiplier number `at` can move from its value in `now` to that in `new` until its sign becomes wrong.
 
     The result is the pair (t, dt) for the share t + dt eps of the way, eps infinitesimal; t = 2 if it can move all the way. side:
     the right sign of the multiplier.
@@ -163,7 +164,7 @@ def share(now, new, at, side):
 
 @inline
 def move_on(p, newest):
-    """Move all multipliers p.now towards p.new, until the multiplier of a constraint other than `newest` becomes zero.
+    """Move the multipliers p.now of p (`TwoLevels`) towards p.new, until that of a constraint other than `newest` becomes zero.
 
     Returns the number of this constraint, or NONE if no multiplier becomes zero on the way; then nothing is moved.
     """
@@ -206,7 +207,7 @@ def parts(p, dependent):
 
 @inner
 def exchange(p, dependent, newest):
-    """Return the active constraint to drop for a new one that depends linearly on the active set, or NONE.
+    """Return which active constraint to drop for a new one that depends linearly on the active ones, or NONE.
 
     NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are updated for the exchange.
     `dependent` is the inequality that is a linear combination of active constraints. The new constraint is this inequality itself,

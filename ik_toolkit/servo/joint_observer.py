@@ -18,14 +18,14 @@ from ..validate import number
 
 
 class FilterAssumptions(NamedTuple):
-    """Assumptions about measured joint values, from which the filter's bandwidth follows."""
+    """Assumptions about measured joint values, from which the bandwidth of the filter of a `JointObserver` follows."""
 
     delay: int = 2  # age of measured joints [samples]
     longest: int = 10_000  # largest delay [samples]; one command is kept for each of these samples
     noise: float = 1e-4  # standard deviation of the measurement noise [rad or arm reaches]
     acceleration: float = 0.01  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
-    # Bandwidth of the filter [rad/s] times the age [s] of the newest command that a measurement shows.
-    # The loop stays stable even if the true delay is four times the assumed one (tests/servo/test_measured.py).
+    # Bandwidth of the filter [rad/s] times the age [s] of the newest command to which a measurement can answer. With this value the
+    # control loop stays stable even if the true delay is four times the assumed one (tests/servo/test_measured.py).
     steady: float = 0.3
 
 
@@ -47,7 +47,7 @@ def read_measured(robot: Any, q: Any) -> np.ndarray:
 
 
 class JointObserver:
-    """Estimates the joint values (n,) of one arm [rad or arm reaches].
+    """Estimates where the joints of an arm are (n,) [rad or arm reaches], from the commands and from late, noisy measurements.
 
     Args:
         n: Number of joints.
@@ -64,7 +64,7 @@ class JointObserver:
             raise InvalidOption(f"noise must be at least 0 [rad], not {noise!r}")
         self.offset, self._rate = np.zeros(n), np.zeros(n)
         self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
-        self._unheard = 0  # number of coming samples whose measurements may still answer to commands from before a jump
+        self._unheard = 0  # number of coming samples whose measurements are ignored: they may date from before a jump
         self.far: Any = None  # the last measurement if it was doubted, being too far from its command; else None
         self.doubts = 0  # number of consecutive measurements that were doubted
         self.confirmed = False  # whether the last two doubted measurements agree, so that the joints really are there
@@ -82,10 +82,10 @@ class JointObserver:
         self._unheard, self.used = 2 * (self.delay + 1) if jumped else 0, jumped
 
     def bandwidth(self, h: float) -> float:
-        """Return the bandwidth [rad/s] of the filter at sample time h [s].
+        """Return the bandwidth [rad/s] of the filter that estimates the joints, at sample time h [s].
 
-        A difference e between measurement and estimate accelerates the estimate by bandwidth^2 e, so noise and delay
-        limit the bandwidth.
+        A difference e between measurement and estimate accelerates the estimate by bandwidth^2 e, so noise and delay limit the
+        bandwidth.
         """
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
@@ -100,8 +100,8 @@ class JointObserver:
         """Take the joints measured now (n,) [rad or arm reaches], after `send` was called for this sample; h [s]: sample time.
 
         Returns the largest difference between the measured joints and the command they answer to, infinite if a number is not
-        finite. A measurement whose difference is above `most` is not believed until the next one agrees with it, and never
-        if it is outside the limits (rows lower and upper, (2+, n)) by more than `most`.
+        finite. A measurement that differs by more than `most` is not believed until the next one agrees with it, and never if it is
+        outside the limits by more than `most`. limits (2 or more, n): lower and upper in the first two rows.
         """
         if self._unheard:
             return 0.0

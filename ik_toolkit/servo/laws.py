@@ -23,7 +23,7 @@ from .viability import LIMIT, approach
 
 
 class LawCode(NamedTuple):
-    """Codes of the tracking methods in the compiled loop; aad has that of aa, but another gamma and reading."""
+    """Codes of the tracking methods in the compiled loop; method aad has the code of aa, with another gamma and reading."""
 
     cv: int = 0
     av: int = 1
@@ -44,12 +44,12 @@ LAW, READING = LawCode(), ReadingCode()
 
 @compiled
 class EasingThresholds(NamedTuple):
-    """Thresholds for the damping of the pseudo-inverse, and for how much of an error is fed back, see `ease`."""
+    """Thresholds for the damping of the pseudo-inverse, and for how much of an error a step corrects, see `ease`."""
 
     # The pseudo-inverse is damped where the smallest singular value is below this times `Law.damping`; set by hand.
     region: float = 2.0
-    # The damping of a correction that limits block is this times curvature times error; the correction is then no longer than
-    # sqrt(error / curvature).
+    # A correction that limits block is damped by this times the error times the curvature of the tip's path; it is then no longer
+    # than sqrt(error / curvature).
     curved: float = 0.25
     sluggish: float = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
     touching: float = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
@@ -76,10 +76,10 @@ class Law(NamedTuple):
     brake: float  # 1 if the arm brakes to rest, whatever the target, else 0
     # [s] longest step that may come after this one; joints must still be able to stop inside their limits in steps of this length
     late: float
-    mode: float  # a number of `constrained_step.StepModes`
+    mode: float  # what gives way to limits: a number of `constrained_step.StepModes`
     avoid: float  # [1/s] gain of the motion away from joint limits
-    rows: float  # number of inequality constraints in use
-    measured: float  # 1: error and Jacobian are evaluated at the measured joints
+    rows: float  # number of collision inequalities in use
+    measured: float  # 1: error and Jacobian are evaluated at the measured joint values, 0: at the commanded ones
     omit: float  # share of the error that methods av, aa and aad do not remove in this step
 
 
@@ -91,10 +91,12 @@ class TargetMotion(NamedTuple):
     """A target's pose error and motion, arrays (m,)."""
 
     e: Array  # error now: pose of the target minus pose of the tip
-    ahead: Array  # target at the end of the step minus tip now
+    ahead: Array  # error at the end of the step if the tip stood still: target then minus tip now
     v: Array  # velocity of the target now
     a: Array  # acceleration of the target now
-    bias: Array  # product (dJ/dt) x2, for dJ/dt at the joint rates x1; `prepare` wrote x1 and x2
+    bias: (
+        Array  # product (dJ/dt) x2, where dJ/dt is the change of J at the joint rates x1; x1 and x2: see `JointMotion`
+    )
 
 
 @compiled
@@ -112,7 +114,7 @@ class PseudoInverse(NamedTuple):
 class JointMotion(NamedTuple):
     """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
-    # J^+ (ahead - omit e): joint move that corrects the error at the end of the step, but for the share `omit` of the present error
+    # J^+ (ahead - omit e): joint move that closes the error at the end of the step, except the share `omit` of the present error
     move: Array
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
@@ -122,7 +124,7 @@ class JointMotion(NamedTuple):
 
 @compiled
 class CorrectionLimits(NamedTuple):
-    """Limits on how fast an error may be closed."""
+    """Limits on how fast a step may close an error, see `ease`."""
 
     fast: float  # share of each joint's speed limit that may be used
     quick: float  # share of each joint's acceleration limit that may be used
@@ -147,7 +149,7 @@ def gram(J, m, wide, extra, G):
 
 @dual
 def invert(G, k, y):
-    """Replace G (k, k) by its Cholesky factor; return 1 / trace(G^-1), at most G's smallest eigenvalue. y (k,): scratch."""
+    """Replace G (k, k) by its Cholesky factor; return 1 / trace(G^-1), a bound below G's eigenvalues. y (k,): scratch."""
     cholesky(G, k, TINY)
     trace = 0.0
     for c in range(k):
@@ -183,7 +185,7 @@ def factor(J, m, damping, G, y):
 
 @dual
 def apply(J, m, G, b, y, out):
-    """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
+    """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), by the factor G that `factor` wrote; y: scratch."""
     wide = is_wide(J, m)
     k = m if wide else J.shape[0]
     for r in range(k):
@@ -197,8 +199,9 @@ def apply(J, m, G, b, y, out):
 def prepare(p, inverse, target, rate, h, joints):
     """Do the first half of a step of h [s], after `factor`: write all of `joints` (JointMotion) except the commanded rates `x`.
 
-    p: `Law`; inverse: `PseudoInverse`; target: `TargetMotion`; rate (n,): present joint rates. The caller then puts (dJ/dt)
-    joints.x2 into target.bias, for dJ/dt at the rates joints.x1.
+    p: the method and its gains (`Law`); inverse: `PseudoInverse`; target: `TargetMotion`; rate (n,): present joint rates. The
+    caller then writes the product (dJ/dt) joints.x2 to target.bias, where dJ/dt is the change of J at the rates joints.x1.
+    `command` does the second half of the step.
     """
     J, t = inverse.J, inverse.t
     n, m = J.shape
@@ -215,7 +218,7 @@ def prepare(p, inverse, target, rate, h, joints):
         reading = int(p.reading) if code == LAW.aa else READING.at_rate
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
-            # Without the null-space part a redundant arm would lose an order of accuracy.
+            # Without the null-space part of the rates, tracking by a redundant arm would lose an order of accuracy.
             expected = joints.move[i] / h + joints.null[i]
             joints.x1[i] = expected if reading == READING.at_step else rate[i]
             joints.x2[i] = rate[i] if reading == READING.at_rate else expected
@@ -273,9 +276,9 @@ def natural(p, h):
 def possible(c, pace, h, q, limits, fast, quick, walls):
     """Return the share (0 to 1) of a correction c (n,) for which the joints can brake in time, and whether a limit blocks it.
 
-    pace [1/s]: rate at which the error is corrected, in steps of h [s]; q (n,): joint values; limits (4, n): as in `Settings`;
-    fast, quick: shares of speed and acceleration limits to use; walls: whether joints at their position limits block the correction
-    and do not lower its share, see `ease`.
+    pace [1/s]: rate at which the error is corrected, in steps of h [s]; q (n,): joint values; limits (4, n): lower, upper, speed,
+    acceleration; fast, quick: shares of speed and acceleration limits to use; walls: whether a joint at its position limit is
+    reported as blocking the correction instead of lowering the share, see `ease`.
     """
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
@@ -297,10 +300,10 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Write to c (n,) a correction of the error e (m,) that uses joints with low speed limits less; return whether there is one.
+    """Write to c (n,) joint moves that correct the error e (m,), with less use of slow joints; return whether there are such moves.
 
-    There is none if all speed limits are about equal. J (transposed, (n, m)) is scaled in place by the speed limits, rounded to
-    powers of 2, so that undoing this restores it exactly. H, y: scratch.
+    There are none if all speed limits are about equal. limits (4, n): lower, upper, speed, acceleration. J (transposed, (n, m)) is
+    scaled in place by the speed limits, rounded to powers of 2, so that undoing this restores it exactly. H, y: scratch.
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
@@ -328,7 +331,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top (highest speed limit)."""
+    """Return a joint's weight in `spare`: 1, or for a slow joint the largest power of 2 up to its speed limit over the highest."""
     w = 1.0
     while 0.0 < speed < EASING.sluggish * top and speed < w * top:
         w *= 0.5
@@ -337,14 +340,14 @@ def halved(speed, top):
 
 @dual
 def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
-    """Shrink the error that is fed back (target.e and ahead, in place) until joints can brake before it is zero.
+    """Shrink the error that a step corrects (target.e and ahead, in place) until joints can brake before it is zero.
 
-    A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and
-    oscillates for ever. Joints at their position limits do not count in this. If they or inequalities block the correction J^+ e,
-    it is computed again with damping from brisk.bend, because the real motion along a nearly singular direction is much shorter. If
+    A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and oscillates
+    for ever. Joints at their position limits do not count in this. If they or inequalities block the correction J^+ e, it is
+    computed again with damping from brisk.bend, because the real motion along a nearly singular direction is much shorter. If
     allowed.rows is -1, neither is checked. p: `Law`; inverse: `PseudoInverse`; target: `TargetMotion`; h [s]: the step; q (n,):
-    joint values; limits (4, n): as in `Settings`; allowed: `Allowed`; brisk: `CorrectionLimits`; c (n,): scratch. Returns whether
-    the correction is blocked.
+    joint values; limits (4, n): lower, upper, speed, acceleration; allowed: rate bounds and inequalities (`Allowed`); brisk:
+    `CorrectionLimits`; c (n,): scratch. Returns whether the correction is blocked.
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
@@ -384,7 +387,7 @@ def settle(p, h, rate_before, x, code, prev):
 
 @dual
 def rewrite_command(p, h, ratio, wanted, x, prev):
-    """Change prev (n,) to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
+    """Change prev (n,), the last command, to one from which the rates taken, x (n,), would have followed, to prevent wind-up.
 
     p: `Law`; h [s]: the step; wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0
     at the start.

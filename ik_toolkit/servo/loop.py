@@ -49,7 +49,8 @@ LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above 
 def initial_rates(law, J, f, G, y, limits, q, rate, state):
     """Set the joint rates rate (n,) at the start: unless they were given, to J^+ f, limited so that the joints can brake.
 
-    f (m,): twist of the target; J, G, y: as in `laws.factor`; state: see `workspace.State`.
+    law: the method and its gains (`Law`); f (m,): twist of the target; J, G, y: Jacobian and scratch, as in `laws.factor`; limits
+    (4, n): lower, upper, speed, acceleration; state: see `workspace.State`.
     """
     if state[STATE.start] == START.with_target:
         factor(J, J.shape[1], law.damping, G, y)
@@ -66,10 +67,10 @@ def initial_rates(law, J, f, G, y, limits, q, rate, state):
 
 @inline
 def keep_axes(counts, flip):
-    """Switch mirroring off (`flip` (F, 3) to zero) for tips whose rotation errors have slack or unequal weights.
+    """Do not mirror the axes (set `flip` (F, 3) to zero) of tips whose rotation errors have slack or unequal weights.
 
-    The axes of a tip with a free rotation are mirrored, so that the free axis becomes the last one. Slack and weights are given for
-    the axes that are not mirrored, and mirroring would mix them. counts (4, m): as in `Settings`.
+    The axes of a tip with a free rotation are otherwise mirrored, so that the free axis becomes the last one. Slack and weights
+    belong to the axes before mirroring, which would mix them. counts (4, m): weights and slack of the errors, as in `Settings`.
     """
     weight, slack = counts[0], counts[1]
     for f in range(flip.shape[0]):
@@ -83,8 +84,9 @@ def keep_axes(counts, flip):
 def evaluate_task(task, look, s, V, A, plain, counts, E):
     """Write to s (Bench) the error, the Jacobian, and the target's twist V and acceleration A in the error's axes.
 
-    E (m,) receives the error [m, rad] in base axes, reduced by the slack (dead band) of each component. plain: whether no rotation
-    is free and no target is in another tip's frame; counts (4, m): as in `Settings`.
+    E (m,) receives the error [m, rad] in base axes, reduced by the slack (dead band) of each component. task, look: the compiled
+    problem and its evaluation; plain: whether no rotation is free and no target is in another tip's frame; counts (4, m): weights
+    and slack of the errors, as in `Settings`.
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
@@ -105,7 +107,7 @@ def evaluate_task(task, look, s, V, A, plain, counts, E):
 
 @inner
 def leave_out(J, floor, roof):
-    """Set the rows of J (n, m) to zero for joints whose rate bounds are both 0, so that singularity is judged without them."""
+    """Set to zero the rows of J (n, m) of joints that cannot move (both rate bounds 0): singular poses are judged without them."""
     for i in range(floor.shape[0]):
         if floor[i] == 0.0 and roof[i] == 0.0:
             clear(J[i])
@@ -115,8 +117,8 @@ def leave_out(J, floor, roof):
 def limit_oscillation(law, s, rate, swings, h, state):
     """Limit the acceleration of oscillating joints, if limits or a singular pose have hindered joints lately.
 
-    If nothing has hindered them, the reversals may be due to the motion of the target itself. rate (n,): present joint rates;
-    swings (3, n): as in `viability.watch`.
+    If nothing has hindered them, the reversals may be due to the motion of the target itself. law: `Law`; s: `Bench`; rate (n,):
+    present joint rates; swings (3, n): counts of reversals, see `viability.watch`; h [s]: the step.
     """
     if law.mode != MODE.clip and state[STATE.free] < CALMING.lasting:
         calm(rate, s.size, swings, h, box_of(s))
@@ -126,8 +128,8 @@ def limit_oscillation(law, s, rate, swings, h, state):
 def record_oscillation(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
-    code (n,): bits of the limits that held joints back in this step; swings (3, n): as in `viability.watch`; h [s]: the step. A
-    limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
+    code (n,): bits of the limits that held joints back in this step; swings (3, n): counts of reversals, see `viability.watch`; h
+    [s]: the step. A limit on the acceleration of an oscillating joint (BIT.calmed) does not count as a hindrance.
     """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
@@ -138,11 +140,12 @@ def record_oscillation(law, s, code, swings, h, state):
 
 @inline
 def weigh_levels(share, s):
-    """Write to s.heavy (m,) the largest weight of all errors that have the same priority level as this one.
+    """Write to s.heavy (m,), for each error, the largest weight of all errors of the same priority level.
 
-    share (m,): weight of each error's level relative to level 0.
+    share (m,): weight of each error's level relative to level 0; errors of equal shares are of the same level.
     """
-    for k in range(0, share.shape[0], 3):  # A level consists of positions and orientations, three errors each.
+    # A priority level consists of positions and orientations of tips, three errors each.
+    for k in range(0, share.shape[0], 3):
         most = 0.0
         for j in range(0, share.shape[0], 3):
             if share[j] == share[k]:
@@ -161,7 +164,7 @@ def copy_planes(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Clip the rates s.x (n,) to their bounds, each joint on its own, in mode clip and when the arm brakes (still).
+    """Clip the joint rates s.x (n,) to their bounds, each joint on its own; used in mode clip and when the arm brakes (still).
 
     The method's `memory` of its last command receives the rates that clipped joints really took (mode clip), or zeros (if the arm
     brakes). code (n,) receives the bits of the limits that held joints back.
@@ -180,8 +183,9 @@ def clip_rates(law, s, still, h, memory, code):
 def judge(wanted, h, p, state):
     """Return whether the loop must end because of the commanded rates `wanted` (n,), and whether the arm brakes.
 
-    The arm brakes, and the rates become 0, if p.brake is set (p: `Law`), or if the rates are not finite and p.runaway is infinite.
-    Otherwise the loop ends if the rates are not finite, or in mode clip if the mean joint move exceeds p.runaway.
+    p: the method and its gains (`Law`). The arm brakes, and the rates become 0, if p.brake is set, or if the rates are not finite
+    and p.runaway is infinite. Otherwise the loop ends if the rates are not finite, or in mode clip if the mean joint move exceeds
+    p.runaway.
     """
     largest = 0.0
     for k in range(wanted.shape[0]):
@@ -190,7 +194,7 @@ def judge(wanted, h, p, state):
     still = p.brake > 0.0 or (bad and p.runaway == np.inf)
     if still:
         clear(wanted)
-    # Outside mode clip a command that is large but finite is no reason to end, as the rate bounds limit it.
+    # Outside mode clip a command that is large but finite does not end the loop, because the rate bounds limit it.
     elif bad or (p.mode == MODE.clip and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = STOP.not_finite if bad else STOP.runaway
         return True, still
@@ -201,9 +205,9 @@ def judge(wanted, h, p, state):
 def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    law: `Law`; s: `Bench`; count: number of inequality constraints; h [s]: the step; own: `Carried`; work: memory for `constrain`.
-    If mu > 0, the step is a damped least-squares step with this damping, whose task is already in s. code (n,) receives the bits of
-    the limits that held joints back.
+    law: the method and its gains (`Law`); s: scratch arrays of the step (`Bench`); count: number of inequality constraints; h [s]:
+    the step; own: state of the tracker (`Carried`); work: memory for `constrain`. If mu > 0, the step is a damped least-squares
+    step with this damping, whose task is already in s. code (n,) receives the bits of the limits that held joints back.
     """
     n = s.J.shape[0]
     mode, size = int(law.mode), s.size
@@ -237,17 +241,17 @@ def by_constraints(law, s, count, mu, h, own, work, code):
 
 @inline
 def by_clipping(law, s, count, mu, h, own, work, code):
-    """Write rates within all limits to s.x (n,) for a solver's iteration, by clipping each joint on its own.
+    """Clip the joint rates s.x (n,) that a solver's iteration commands to their bounds, each joint on its own.
 
-    `by_constraints` is not used, since compiling it for every solver would take a minute. Always returns False: the solver's
-    state is not corrected for clipped rates.
+    Solvers do not use `by_constraints`, since compiling it for every solver would take a minute. code (n,) receives the bits of the
+    limits that held joints back. Always returns False: the solver's state is not corrected for clipped rates.
     """
     clip(s.x, box_of(s), code)
     return False
 
 
 def apply_limits(rule, law, s, count, mu, h, own, work, code):
-    """Write to s.x (n,) the rates that limits allow, by `by_constraints` (published laws) or `by_clipping` (solvers).
+    """Replace the commanded joint rates s.x (n,) by allowed ones, by `by_constraints` (control laws) or `by_clipping` (solvers).
 
     This version runs without numba, which compiles the overload below instead.
     """
@@ -273,17 +277,18 @@ def error_squared(weight, e):
 
 @inline
 def size_joints(s, speed):
-    """Write the rates by which those of the joints are measured to s.size (n,): their speed limits where they have one."""
+    """Write to s.size (n,) the speed to which each joint's rate is compared: its speed limit, or UNLIMITED if it has none."""
     for i in range(speed.shape[0]):
         s.size[i], s.even[i] = speed[i] if 0.0 < speed[i] < np.inf else UNLIMITED, 1.0
 
 
 @inline
 def run(step, arm, given, own, samples, out, h, block):
-    """Take steps of h [s] until the output is full or the loop must end; return the number of steps.
+    """Take the steps of a tracker, of h [s] each, until `out` is full or the loop must end; return the number of steps.
 
-    step: class of the solver's iteration, or Published; arm: the arrays rows, ends and orders of `servo`; given: Settings; own:
-    Carried; samples: Samples; out: Record; block: array of zeros, used as scratch memory.
+    step: class of the solver's iteration, or Published; arm: the arrays rows, ends and orders of `servo`; given: inputs (Settings);
+    own: state between steps (Carried); samples: targets (Samples); out: results (Record); block: array of zeros, used as scratch
+    memory.
     """
     (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
@@ -299,7 +304,8 @@ def run(step, arm, given, own, samples, out, h, block):
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)
-        for stage in range(2):  # First the error to this sample's target is evaluated, then that to the next sample's.
+        # First the error to this sample's target is evaluated, then the error to the next sample's target.
+        for stage in range(2):
             task.head_for(T[i + stage])
             look = task.see()
             task.stack(look)
@@ -354,7 +360,7 @@ def run(step, arm, given, own, samples, out, h, block):
 
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
-    """Return the compiled loop of the published laws (cls None), or of a solver, given the class of its iteration (rule).
+    """Return the compiled loop of a tracker for the control laws (cls None), or for a solver, given the class of its iteration.
 
     follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the `Record`
     `out` has room for, and returns how many it took.

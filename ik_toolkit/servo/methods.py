@@ -117,9 +117,9 @@ class Method:
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
 
-@functools.lru_cache(maxsize=64)  # A control loop returns to the same few step lengths; choosing gains takes time.
+@functools.lru_cache(maxsize=64)  # The same few step lengths come again and again, and choosing gains takes time.
 def pack_law(method: Method, h: float) -> np.ndarray:
-    """Return a method and its gains at sample time h [s] as an array, in the order of the fields of `Law`.
+    """Return a method and its gains at sample time h [s] as an array for the compiled loop, in the order of the fields of `Law`.
 
     Entries that the tracker sets, not the method, are 0.
     """
@@ -155,7 +155,7 @@ def make_method(method: str | Method, **options: Any) -> Method:
 
 
 class System(NamedTuple):
-    """Any system with m task coordinates and n joints, given by three functions.
+    """Any system with m task coordinates and n joints that `simulate` can control, given by three functions.
 
     position(q) -> (m,); jacobian(q) -> (m, n); rate(q, x, y) -> (m,) is the product (dJ/dt) y while the joints move at
     rates x.
@@ -167,7 +167,7 @@ class System(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Result of `simulate` over the N + 1 samples that were reached.
+    """Result of `simulate`: joints and errors at the N + 1 samples that were reached.
 
     t (N + 1,) [s]: times; q, rate (N + 1, n): joint values and rates; error (N + 1, m): target minus actual; command (n,): last
     command of methods cv and ca;
@@ -200,7 +200,7 @@ class Run(NamedTuple):
 def interpolate(q: np.ndarray, rate: np.ndarray, gamma: float, h: float, f: float) -> np.ndarray:
     """Return joint values (N, n) a fraction f into each step: linear if gamma is 1, else of constant acceleration.
 
-    q, rate (N + 1, n): joint values and rates at the samples; h [s]: length of a step.
+    q, rate (N + 1, n): joint values and rates at the samples; gamma: weight of the new rate in a step; h [s]: length of a step.
     """
     d = np.diff(q, axis=0)
     return q[:-1] + f * d if gamma == 1.0 else q[:-1] + f * (1.0 - f) * h * rate[:-1] + f * f * d
@@ -219,7 +219,7 @@ def simulate(
     runaway: float = 1e6,
     **options: Any,
 ) -> Run:
-    """Track a target with a method on any system, with the same step functions as on robots.
+    """Track a target on any system, not only a robot, by a method (cv, av, ca, aa, aad), with the same steps as on a robot.
 
     Args:
         system: The system.

@@ -12,7 +12,7 @@ from ..validate import switch
 from .viability import LIMIT, UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
-# what the error says if an attribute of a Tracker is assigned to, by the attribute's name; "" stands for all other attributes
+# what to do instead of assigning to an attribute of a Tracker, which raises an error; by name, "" for all other attributes
 INSTEAD = {
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",

@@ -18,8 +18,9 @@ from ..validate import number
 from .laws import apply
 from .workspace import STATE
 
-FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
-# [rad or m, or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
+# share of a joint's range, at each end of it, in which null-space motion moves the joint away from the limit
+FADING = 0.15
+# [rad, m or arm reaches] step of the difference quotients in this file; their error is about step^2 + 1e-16 / step
 STEP = 1e-5
 
 
@@ -27,12 +28,14 @@ STEP = 1e-5
 class SlackRules(NamedTuple):
     """Constants by which an error with a slack (dead band) is kept inside the slack."""
 
-    nearly: float = 0.5  # share of the distance to the end of its slack by which an error may grow in one sample
-    # An error that exceeds its slack by more than `far` [arm reaches, rad] is closed like an error without slack. While
-    # inequalities cannot be kept, `beyond` [share of the slack] applies instead of `far`; a smaller excess may be rounding.
+    # an error inside its slack may use up at most this share of the distance to the end of the slack in one sample
+    nearly: float = 0.5
+    # An error that exceeds its slack by more than `far` [arm reaches, rad] is closed like an error without slack. While the
+    # inequalities that keep errors in their slack cannot be met, `beyond` [share of the slack] applies instead of `far`; a smaller
+    # excess may be rounding.
     beyond: float = 1e-3
     far: float = 1e-2
-    pressed: float = 0.1  # [s] after which inequalities that keep errors within slack are tried again
+    pressed: float = 0.1  # [s] time after which the inequalities that keep errors within their slack are tried again
 
 
 SLACK = SlackRules()
@@ -54,7 +57,7 @@ def reflect(flip, y):
 
 @inline
 def bend(task, look, s, weighed):
-    """Write (dJ/dt along s.x1) s.x2, the part of the tip's acceleration that comes from the change of J, to s.bias (m,).
+    """Write to s.bias (m,) the tip's acceleration that comes from the change of J: (dJ/dt at the joint rates s.x1) s.x2.
 
     task, look: the compiled problem and its evaluation at s.at; s: `Bench`; weighed: whether to multiply by the errors' weights.
     """
@@ -69,7 +72,7 @@ def bend(task, look, s, weighed):
 
 @inline
 def by_difference(task, s):
-    """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
+    """Write (dJ/dt at the joint rates s.x1) s.x2 to s.bias by central differences, for free rotations or a moving target frame."""
     n, m = task.desk.J.shape
     size = largest(s.x1)
     clear(s.bias)
@@ -152,7 +155,10 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a velocity away from near position limits, which grows smoothly from 0 inside the range; gain [1/s]."""
+    """Add to g (n,) a joint velocity away from near position limits, which grows smoothly from 0 inside the range.
+
+    q (n,): joint values; limits (4, n): lower and upper in the first two rows; gain [1/s].
+    """
     for i in range(q.shape[0]):
         lower, upper = limits[LIMIT.lowest, i], limits[LIMIT.highest, i]
         wide = upper - lower
@@ -182,7 +188,7 @@ def scale_secondary(g, x, low, top):
 
 @inner
 def into_null_space(J, m, G, y, t, g, part):
-    """Project g (n,) into the null space of the task with m rows, in place: g -= J^+ J g, with the factor G that `factor` wrote.
+    """Project joint rates g (n,) into the null space of the task, in place: g -= J^+ J g, with the factor G that `factor` wrote.
 
     t, y, part: scratch.
     """
@@ -198,14 +204,14 @@ POSTURE = 1.0  # [1/s] gain of the motion towards a posture
 
 
 class Secondary(Holds):
-    """The null-space options of a `Tracker`, as numbers."""
+    """What a `Tracker` does with redundant joints: its options for motion in the null space, checked and as numbers."""
 
     FUNCTION = "cost"
 
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
         """Store the options; wish (3, n): posture [rad or arm reaches], gain towards it [1/s], and an additional velocity."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
-        # whether the cost or the manipulability must be evaluated before every step
+        # whether the caller's cost or the manipulability must be evaluated before every step
         self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:

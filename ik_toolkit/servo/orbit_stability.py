@@ -23,12 +23,13 @@ from .command import SHARE
 class Sampling(NamedTuple):
     """Constants that set how a path is sampled and followed to compute the product of its steps."""
 
-    largest: float = 700.0  # a little less than the logarithm of the largest float
-    most: int = 10_000  # highest number of samples of a path that is judged; they take some 200 MB and seconds
+    # logarithm above which a growth factor is cut off; a little less than that of the largest float
+    largest: float = 700.0
+    most: int = 10_000  # largest number of samples of a path; their matrices take some 200 MB and some seconds
     iterations: int = 50  # largest number of Newton iterations for one sample; two or three are needed
     exact: float = 1e-10  # [m, rad] error below which a sample counts as on the path
     singular: float = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
-    samples: int = 100  # least number of samples that a motion is resampled to
+    samples: int = 100  # least number of samples at which a joint motion is computed
     fine: float = 0.03  # largest distance between two samples of a motion [arm reaches, rad]
     closed: float = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
     # share of the speed by which the velocities at the start and end of a closed path may differ; a spline through a sampled lap
@@ -40,7 +41,7 @@ ORBIT = Sampling()
 
 
 class Growth(NamedTuple):
-    """Growth of a small error of the tip along a path.
+    """Factor by which a small error of the tip grows along a path.
 
     factor: over the whole path; per_step: mean factor per sample; closed: whether the path is closed.
     """
@@ -51,7 +52,7 @@ class Growth(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The growth factor in words. A factor below 1e-12 is rounding, so the words then say that the error is gone."""
+        """The growth factor in words. A factor below 1e-12 is only rounding, so the words then say that the error is gone."""
         over = "in a lap" if self.closed else "in all"
         if self.factor < 1e-12:
             return f"a small error is gone {over}"
@@ -71,7 +72,7 @@ class JacobianDerivatives(NamedTuple):
 
 
 class OrbitState(NamedTuple):
-    """What, besides the joint values, the matrices of N steps of a method depend on.
+    """State of the joints and the target at N steps, which `step_matrices` needs besides the Jacobians.
 
     rate (N, n): joint rates; error, ahead (N, m): target now, and at the end of the step, minus tip now; v, a (N, m): velocity and
     acceleration of the target.
@@ -85,15 +86,15 @@ class OrbitState(NamedTuple):
 
 
 class PathMotion:
-    """The motion of a robot that keeps its tip on a reference, without null-space motion, and how errors grow along it.
+    """The joint motion that keeps a robot's tip on a reference, without null-space motion, and how errors grow along it.
 
     Raises InvalidTarget if the path cannot be followed, InvalidOption if robot or reference is of the wrong type.
     """
 
     def __init__(self, robot: Robot, reference: Reference, q0: Any = None) -> None:
-        """Follow a reference from the solution near q0 (n,), default home.
+        """Find the joint motion along a reference, from the solution near q0 (n,), default home.
 
-        Steps are so short that each solution leads to the next.
+        The reference is followed in steps so short that each solution leads to the next.
         """
         from ..solvers.solve import solve
 
@@ -110,7 +111,7 @@ class PathMotion:
         self.times = np.linspace(0.0, reference.duration, count)
         start = robot.home if q0 is None else robot.check_q(q0, "q0")
         self.q = np.tile(solve(robot, reference.target(0.0), q0=start).q, (count, 1))
-        # The samples for the last sample time are kept, because all gains of a chart need them.
+        # What `sampled` returned for the last sample time is kept, because all gains of a stability chart need it.
         self._last: tuple[float, Any] = 0.0, None
         T = reference.at(self.times)[0]
         for k in range(count):
@@ -132,7 +133,7 @@ class PathMotion:
         raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s{few}")
 
     def sampled(self, h: float) -> tuple[JacobianDerivatives, OrbitState]:
-        """Return the Jacobians at the samples of h [s], and the state of the steps between them. Raises InvalidOption."""
+        """Return the Jacobians at samples h [s] apart, and joints and target in the steps between them. Raises InvalidOption."""
         if self._last[0] == h:
             return self._last[1]
         times = self.reference.times(h)
@@ -157,14 +158,14 @@ class PathMotion:
         return f" Limits are not counted, and on this motion {names} would leave theirs." if names else ""
 
     def largest_move(self, h: float) -> float:
-        """Return the largest move of a joint in a sample of h [s], [rad or arm reaches]."""
+        """Return the largest distance [rad or arm reaches] that a joint moves in a sample time h [s]."""
         speed = np.abs(np.diff(self.q, axis=0) / np.diff(self.times)[:, None] / self.robot.chain.unit)
         return h * float(speed.max())
 
     def growth(
         self, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0, *, pace: float = 1.0
     ) -> Growth:
-        """Return how an error of a method grows along the reference, without limits. Raises InvalidOption if h is too long.
+        """Return how an error grows along the reference with a method, without joint limits. Raises InvalidOption if h is too long.
 
         For a closed path it is the spectral radius of the map from lap to lap. Otherwise it is the largest possible ratio of the
         tip's error at the end to that at the start, if the joint rates at the start have no error. h [s]; null_damping [1/s]; pace:
@@ -175,7 +176,7 @@ class PathMotion:
         steps = step_matrices(bent, orbit, method, h, gains, null_damping)
         blocks = np.eye(steps.shape[-1] // self.robot.n)
         total, scale = chained(steps)
-        # The map is taken in coordinates of the tip, since null-space motion leaves the tip where it is and is no error.
+        # Growth is judged in coordinates of the tip, because null-space motion does not move the tip and is no error.
         lap = np.kron(blocks, bent.J[-1]) @ total @ np.kron(blocks, np.linalg.pinv(bent.J[0], rcond=ORBIT.singular))
         T, V, _ = self.reference.at(np.array([0.0, self.reference.duration]))
         off, bend = np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max()
@@ -212,7 +213,7 @@ def stable_bands(
 def chained(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     """Multiply matrices (N, k, k), the first one applied first; return the product divided by a scale, and the scale's logarithm.
 
-    The product along an unstable path exceeds what a float can hold.
+    Without the scale, the product along an unstable path would exceed what a float can hold.
     """
     total, scale = np.eye(matrices.shape[-1]), 0.0
     for A in matrices:
@@ -236,8 +237,8 @@ def tip_errors(goals: np.ndarray, poses: np.ndarray, m: int) -> np.ndarray:
 def jacobians(robot: Robot, Q: np.ndarray, m: int) -> JacobianDerivatives:
     """Return the first m rows of the Jacobians at Q (N, n) [rad or m] and their derivatives, from the joints' columns.
 
-    Let u_t, w_t be the linear and angular column of joint t, r nearer the base. Then d u_t / d q_r = w_r x u_t = d u_r / d q_t,
-    d w_t / d q_r = w_r x w_t, and d w_r / d q_t = 0.
+    Let u_t, w_t be the linear and angular part of the column of joint t, and r a joint nearer the base. Then d u_t / d q_r = w_r x
+    u_t = d u_r / d q_t, d w_t / d q_r = w_r x w_t, and d w_r / d q_t = 0.
     """
     rows, ends, n = robot.chain.rows, robot.chain.ends, robot.n
     L, owner = len(rows), rows[:, 8].astype(int)
@@ -291,7 +292,7 @@ def step_matrices(
     gains: dict[str, float],
     null_damping: float = 0.0,
 ) -> np.ndarray:
-    """Return the matrices (N, k n, k n) that carry a small disturbance over each step: the exact derivative of the step.
+    """Return the matrices (N, k n, k n) by which each step multiplies a small disturbance: the exact derivatives of the steps.
 
     The k n numbers of the state are those of `stability.mapping_matrix`, for n joints. For method aa the option `reading`, which
     says where dJ/dt is evaluated, may be among the gains.
@@ -319,7 +320,7 @@ def step_matrices(
         outer = free @ np.einsum("kmji,km->kji", H, dual) + P @ P.swapaxes(1, 2) @ np.einsum("kmji,km->kji", H, left)
         return P @ (by_q - turned(y)) + outer
 
-    # derivatives of the errors with respect to q
+    # derivatives with respect to q of the errors to the target now and at the end of the step
     behind, coming = (-_logarithm(e) @ J for e in (orbit.error, orbit.ahead))
     if method == "cv":
         u = inverse(orbit.v + gains["kappa"] * orbit.error, gains["kappa"] * behind)

@@ -15,24 +15,25 @@ from ..text import angle, length
 class SurveyConstants(NamedTuple):
     """Constants that say how finely a path is sampled, and which changes are tried if a part of it is out of reach."""
 
-    # [m, rad] error up to which a pose is reached: a tenth of a run's tolerances
+    # [m, rad] errors up to which a pose counts as reached: about a tenth of the default tolerances of `track`
     close: tuple[float, float] = (1e-4, 2e-4)
     dense: int = 1000  # number of samples from which the length of a path is measured
     # largest distance between two poses: as a share of the arm's reach, and in rad
     step: tuple[float, float] = (0.02, 0.05)
     fewest: int = 40  # least number of poses tested along a path
     most: int = 1000  # largest number of poses tested along a path
-    # bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
+    # number of bisections between the last pose reached and the first one not reached, which find the edge to 1/1000 of their
+    # distance
     halvings: int = 10
-    # A joint nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
+    # A joint nearer to a limit than this share of its range counts as at the limit, because the arm stops just short of it.
     boundary: float = 1e-3
     starts: int = 24  # number of random postures from which another solution for the start of a path is sought
-    apart: float = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
+    apart: float = 0.1  # [rad or arm reaches] two postures count as different if some joint differs by more
     shorter: float = 0.95  # The first size factor suggested is this times the share of the path that can be reached.
     # These size factors are tried as well, because a smaller closed path may be in reach as a whole.
     sizes: tuple[float, ...] = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
     probe: float = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
-    # format of joint values in a message; with 4 digits the tip would start up to 1 mm off its path
+    # format of joint values in a message; with 4 digits instead of 7, the tip would start up to 1 mm off its path
     digits: str = ".7g"
 
 
@@ -75,7 +76,7 @@ class Survey:
         far, whole = ((angle(float(x)) if self.turning else length(float(x))) for x in (self.stop, self.along[-1]))
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
-        # Positions take four joints, because three may only be able to move the tip in a plane.
+        # Positions are taken to need four joints, because three may only be able to move the tip in a plane.
         few = self.robot.n < (6 if self.posed else 4)
         few = f", or its {self.robot.n} joints cannot move the tip along this path" if few else ""
         return f"{where}: {at if self.joints else f'the arm is at the edge of its reach{few}'}"
@@ -94,7 +95,7 @@ class Survey:
 
 
 def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any) -> Survey:
-    """Follow a reference pose by pose, by a solver and without limits of time, to see which of its poses can be reached.
+    """Follow a reference pose by pose with a solver, without speed limits, to see which of its poses can be reached.
 
     Args:
         robot: The robot.
@@ -122,7 +123,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = SURVE
 def trace(
     robot: Joints, reference: References, q0: Any, *, fewest: int = SURVEY.fewest, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return times (K,) [s] along a reference and joint values (K, n) for its poses there; None if a pose is out of reach.
+    """Follow a reference pose by pose; return times (K,) [s] and joint values (K, n) there, or None if a pose is out of reach.
 
     Arguments are those of `survey`.
     """
@@ -208,7 +209,10 @@ def _changed(reference: Reference, change: Callable, position_only: bool) -> Ref
 
 
 def smaller(found: Survey) -> list[float]:
-    """Return factors by which to scale down a path that `found` says is partly out of reach, largest first; [] if pointless."""
+    """Return factors by which a path that is partly out of reach might be scaled down, largest first.
+
+    found: the survey of the path. The result is empty if the path is reached, or if scaling would not help.
+    """
     if not found.until or found.turning:
         return []
     reached = float(found.stop / found.along[-1])
@@ -217,9 +221,9 @@ def smaller(found: Survey) -> list[float]:
 
 
 def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
-    """Return a copy of the options of `ik.solve` with which only the position of a pose counts.
+    """Return a copy of the options of `ik.solve` that is changed so that only the position of a pose counts.
 
-    It is None if nothing would then count, or if mask or slack is a dict.
+    The result is None if nothing would then count, or if mask or slack is a dict.
     """
     kept = {name: value for name, value in options.items() if name != "free_turn"}
     for name in ("mask", "slack"):
@@ -271,7 +275,8 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
     J = _jacobians(robot, posed, path)
     U, sigma, V = np.linalg.svd(J)
     least = sigma.shape[1] - 1
-    # Entry i of u' (dJ along v) is the derivative of sigma = u'J v with respect to joint i, because mixed derivatives commute.
+    # With J = sum of u sigma v', entry i of u' (dJ along v) is the derivative of sigma with respect to joint i: second derivatives
+    # commute.
     change = _jacobians(robot, posed, path + SURVEY.probe * V[:, least] * robot.chain.unit) - J
     slope = np.einsum("km,kmn->kn", U[:, :, least], change)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -303,7 +308,7 @@ def targets_at(reference: References, t: np.ndarray) -> list[Any]:
 
 
 def path_samples(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return times [s] at even distances along a path, the path's length up to each, and whether the tip only turns.
+    """Return times [s] of evenly spaced poses along a path, the path's length up to each, and whether the tip only turns.
 
     fewest: least number of distances. Lengths are in m, or in rad if the tip only turns.
     """

@@ -22,13 +22,13 @@ from ..validate import not_negative, one_of, positive
 from .orbit_stability import PathMotion, stable_bands
 from .stability import BEST, DEFAULT, best_gains, complete, longest_step, mapping_matrix
 
-# [rad or arm reaches] joint move in a sample up to which the linearisation foretold all runs of scripts/theory_patko.py
+# [rad or arm reaches] largest joint move in a sample for which the linearisation predicted all runs of scripts/theory_patko.py
 FAR = 0.15
 
 
 @dataclass(frozen=True, repr=False)
 class LeastRate:
-    """The least sample rate at which a method is stable along a path.
+    """The least sample rate at which a tracking method is stable along a path, found by `least_rate`.
 
     Attributes:
         rate: [Hz] The method is stable at every rate that was tried from here to `most`; infinite if it is unstable at `most`.
@@ -74,7 +74,7 @@ def least_rate(
         method: Name of the tracking method.
         most: Highest rate to try [Hz]; default: ten times the least stable rate at rest, but no more than gives 2000 samples of the
             path, and no less than 1.6 times the least stable rate at rest.
-        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
+        q0: (n,) configuration [rad or m] near which the motion starts; default: home.
         null_damping: Damping of null-space motion [1/s], as in `Method`.
         gains: Gains of the method, as in `check_gains`, the same at every rate; without any, those of `best_gains` for each rate.
 
@@ -124,7 +124,7 @@ def least_rate(
 
 @dataclass(frozen=True, repr=False)
 class StabilityChart:
-    """Growth of a small error along a path over gains and speed; `ik.plot` draws it.
+    """How fast a small error grows along a path, for a range of gains and speeds; `ik.plot` draws it.
 
     Attributes:
         method: "cv" or "ca".
@@ -167,7 +167,7 @@ def stability_chart(
     q0: Any = None,
     null_damping: float = 0.0,
 ) -> StabilityChart:
-    """Return where cv or ca is stable along a path, for each gain times the sample time and each speed.
+    """Return where the tracking method cv or ca is stable along a path, over gains (times the sample time) and speeds.
 
     Args:
         robot: The robot.
@@ -175,9 +175,10 @@ def stability_chart(
         method: "cv" or "ca".
         shape: For ca, kp / kd^2; default that of the best gains, 2.259.
         gain: (G,) values of kappa h or kd h; default 0.04 to 1.1.
-        samples: (S,) whole numbers of samples of the path; default 12 to 240, about evenly spaced in travel.
-        q0: (n,) the motion follows the solution near it [rad or m]; default: home.
-        null_damping: Damping of null-space motion over the sample rate, null_damping h.
+        samples: (S,) whole numbers of samples of the path; default 12 to 240, about evenly spaced in the distance from sample to
+            sample.
+        q0: (n,) configuration [rad or m] near which the motion starts; default: home.
+        null_damping: Damping of null-space motion times the sample time, without unit.
 
     Returns:
         The chart.

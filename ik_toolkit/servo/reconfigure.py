@@ -36,19 +36,19 @@ from .motion_limits import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 
-TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
+TOLERANCE = 1e-5  # [m, rad] tolerance with which another posture must reach a target; the tracker then comes closer
 REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as length_scale
 
 
 class Taken(NamedTuple):
-    """What is known of a step that a tracker has just taken, joints in rad or arm reaches; the arrays belong to the tracker."""
+    """The step that a tracker has just taken, joints in rad or arm reaches; the arrays are the tracker's own, not copies."""
 
     code: np.ndarray  # (n,) bits of the limits that were active (`viability.LimitBits`)
     singular: bool  # whether the pose was singular
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
     left: float  # [m] error after the step as one number, in which 1 rad counts as length_scale
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
-    stand: np.ndarray  # whether and for how long the target has stood still; STAND holds the indices
+    stand: np.ndarray  # whether and for how long the target has stood still, see `RestState`; STAND holds the indices
     dt: float  # [s] length of the update
     since: float  # [s] time since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
@@ -59,7 +59,7 @@ class Taken(NamedTuple):
 
 
 class Postures:
-    """Finds joint values [rad or arm reaches] that reach targets, by single solver attempts. Call `ready` first."""
+    """Finds joint values [rad or arm reaches] that reach given targets, by single attempts of a solver. Call `ready` first."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
         """Prepare the solver; options: which errors count; speed (n,): speed limits [rad/s or arm reaches/s]."""
@@ -72,13 +72,13 @@ class Postures:
         weights = tuple((speed / max(speed.max(), 1e-300)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
-        # Errors of lower priority levels are no reason to look for another posture.
+        # Only errors of the highest priority level count: lower ones are no reason to look for another posture.
         firm = np.repeat(np.equal(group_levels(robot, options), 0), 3)
         self._lever = np.tile([1.0] * 3 + [options.length_scale or LEVER] * 3, len(robot.tips)) * firm
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Prepare for targets of these kinds (KIND.pose or KIND.position), one a tip; compile all that is needed later."""
+        """Prepare for targets of these kinds (KIND.pose or KIND.position), one for each tip; compile all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
@@ -121,7 +121,7 @@ class Postures:
 
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:
-    """Return how far apart two sets of poses T, before (F, 4, 4) are: the norm of the difference of all matrix entries [m, 1]."""
+    """Return how far apart two sets of poses T, before (F, 4, 4) are: the norm of the differences of all entries (m and unit 1)."""
     return math.hypot(*(T - before).ravel().tolist())
 
 
@@ -130,36 +130,41 @@ def locked(limits: np.ndarray) -> bool:
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
-FAST = BIT.velocity | BIT.recovering  # bits of the limits that hold a joint back only temporarily
+FAST = BIT.velocity | BIT.recovering  # bits of the limits that hold a joint back only for a time
 
 
 class SearchConstants(NamedTuple):
-    """Constants that set when another posture is searched for, and how long. Times are those of an arm of six or seven joints."""
+    """Constants that set when another posture is searched for, and how long. Times were measured with 6 and 7 joints."""
 
     progress: float = 0.9  # an error below this share of the least error so far counts as progress
-    attempts: int = 96  # number of solver attempts; if one in ten succeeds, only one search in 25,000 finds nothing
+    attempts: int = 96  # solver attempts in a search; if one in ten succeeds, one search in 25,000 finds nothing
     attempt: float = 1e-5  # [s] duration of one attempt; for two arms 8 times as long
     # share of the time between two updates that a search may take; all attempts together take about 1 ms
     share: float = 0.05
-    # A search also ends once it has lasted for this share of the duration of the best move found, because the arm is waiting.
+    # A search also ends after this share of the duration of the best move found, because the arm is waiting.
     rush: float = 0.02
-    pause: float = 3.0  # [s] after a search that found nothing; it doubles each time while the target stands still
-    longest: float = 16.0  # [s] longest pause, so that 99 % of the updates do not search
-    # [m, or rotation matrix entries] If a stationary target has moved further, a new search need not wait for the pause.
+    pause: float = 3.0  # [s] time without a search after one that found nothing; it doubles each time while the target stands still
+    longest: float = 16.0  # [s] longest such pause; at least 99 % of the updates are then free of searching
+    # [m, or rotation matrix entries] If a stationary target has moved further than this, a new search does not wait for the pause
+    # to end.
     elsewhere: float = 0.02
 
 
 class MoveConstants(NamedTuple):
     """Constants for the cost of a move to another posture, and for when such a move begins and ends."""
 
-    standing: float = 0.3  # to a stationary target a move is made once the error has cost this share of the move's cost
+    # if the target stands still, a move begins once the error, summed over time, has reached this share of the error expected on
+    # the move
+    standing: float = 0.3
     on_way: tuple[float, ...] = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
-    # [s] A posture costs more, by the difference, if a joint at full speed would reach a position limit sooner than this from it.
+    # [s] If a joint at full speed would reach a position limit from a posture in less time than this, the difference is added to
+    # the cost of the posture.
     headroom: float = 0.5
     far: float = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
     barred: int = 5  # number of postures remembered as blocked by a collision
-    arrived: float = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-    # [s] The time left at which a move ends if the target stands still, and so does not move away before it is reached.
+    # [s] A move ends, and the tracking method takes over, when the rest of the way takes this time at full joint speed.
+    arrived: float = 0.05
+    # [s] A move to a target that stands still goes on until the rest of the way takes only this time at full joint speed.
     close: float = 1e-3
 
 
@@ -175,9 +180,9 @@ class Reconfiguration:
     """
 
     def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
-        """Bind to a robot; postures: finds goals.
+        """Prepare for a robot; postures: finds joint values for the targets.
 
-        model: CollisionModel in which goals must be free of contact, or None.
+        model: CollisionModel in which the joint values found must be free of contact, or None.
         """
         self.robot, self.postures, self.model = robot, postures, model
         self._attempt = SEARCH.attempt * len(robot.tips) ** 3
@@ -188,22 +193,22 @@ class Reconfiguration:
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # postures (n,) at which, or on the way to which, a collision was found
-        self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
+        self._place = np.zeros(0)  # target that the goal reaches, or for which `search_now` began a search
         self.forget()
         self._quiet, self._pause = 0.0, SEARCH.pause  # [s] left of the present pause, and length of the next one
         self._vain = np.zeros(0)  # target at the last search that found nothing
 
     def forget(self) -> None:
-        """Drop the goal and the search, because the target has been reached or has moved elsewhere."""
+        """Give up the move and the search, because the target has been reached or has moved elsewhere."""
         self.goal: np.ndarray | None = None
         # time without progress [s], error summed over time [m s], least error [m]
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf
         self._price, self._time = 0.0, 0.0  # cost [m s] and duration [s] of the move last found
         self._left = 0  # attempts left in the present search
-        # cost [s], joint values and targets of the best posture found
+        # cost [s] of the best posture found, its joint values, and the targets that it reaches
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None
         self._stands = False  # whether the target was at rest when the search began
-        self._now = False  # whether the search was asked for by `search_now`
+        self._now = False  # whether `search_now` began the search
 
     # ------------------------------------------------------------------------------------------------ when to search
     def watch(self, taken: Taken) -> None:
@@ -217,7 +222,7 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = SEARCH.pause, []
             return
-        # With a joint locked since the search began, every move that was found would last for ever, so the search is dropped.
+        # If a joint has been locked since the search began, a move would never end, so the search is given up.
         if self._left and locked(limits):
             self.forget()
         if self._now:
@@ -237,7 +242,8 @@ class Reconfiguration:
         rests, stands = taken.stand[STAND.rest] >= ARRIVAL.wait, stood >= ARRIVAL.wait
         due = rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)
         paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > SEARCH.elsewhere)
-        # With a locked joint there are few postures, and an operator who locks one wants no large moves.
+        # No search is begun with a locked joint: there are few other postures, and an operator who locks a joint wants no large
+        # moves.
         if due and not paused and not locked(limits):
             self.held = np.flatnonzero(taken.code & BIT.position).tolist()
             self._stands = stands
@@ -251,9 +257,8 @@ class Reconfiguration:
         held, error = int(np.bitwise_or.reduce(taken.code)), taken.left
         if not (held & BIT.position or taken.singular):
             return False
-        # A joint at its speed limit is already moving as fast as it can.
-        # A joint at its acceleration limit is already moving as fast as it can if the target moves.
-        # If the target stands still, a joint at its acceleration limit may only be moving to and fro.
+        # A joint at its speed limit is already moving as fast as it can, and so is one at its acceleration limit if the target
+        # moves. If the target stands still, a joint at its acceleration limit may only be moving to and fro.
         if held & FAST or (held & BIT.acceleration and stood < ARRIVAL.wait):
             self._stood = 0.0
             return False
@@ -330,7 +335,7 @@ class Reconfiguration:
             self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
-        self.goal, self._place = goal, place  # If the target has moved on since the search, `go` adapts the goal.
+        self.goal, self._place = goal, place  # If the target has moved since the search, `go` adapts the goal.
 
     def _enough(self, stands: bool) -> float:
         """Return the accumulated error [m s] that justifies the move last found."""
@@ -348,8 +353,9 @@ class Reconfiguration:
     ) -> bool:  # fmt: skip
         """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma: weight
-        of the new rate; late [s]: longest later step. code (n,) receives the bits of the limits that held joints back.
+        If the target T (F, 4, 4) has moved, joint values for it near the old goal become the new goal. gamma: weight of the new
+        rate in a step; late [s]: longest later step; limits (4, n): lower, upper, speed, acceleration. code (n,) receives the bits
+        of the limits that held joints back.
         """
         goal, near = self.goal, MOVE.arrived
         if goal is None or locked(limits):
@@ -378,7 +384,8 @@ class Reconfiguration:
 
     def blocked(self) -> None:
         """Give up the move because of a collision ahead; another posture may be free later."""
-        if self.goal is not None:  # There is none if the blocked step would have been the last one of the move.
+        # If the blocked step was to be the last one of the move, the goal has already been cleared.
+        if self.goal is not None:
             self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()
@@ -389,5 +396,5 @@ class Reconfiguration:
 
 
 def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return for each row of Q (N, n) the time [s] in which the first of the joints, at full speed, reaches a position limit."""
+    """Return for each row of Q (N, n) the time [s] after which the first joint would reach a position limit at full speed."""
     return (np.minimum(Q - limits[0], limits[1] - Q) / speeds(limits)).min(axis=1)

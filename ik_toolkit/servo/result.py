@@ -23,7 +23,7 @@ from .path_reach import Survey
 from .stability import GainCheck
 from .viability import BIT
 
-ROUNDING = 1e-6  # share of a step by which the clock of the reference may lag without counting as slowed
+ROUNDING = 1e-6  # share of a time step by which a run may lag behind its reference without counting as slowed
 
 
 class TrackStatus(Enum):
@@ -46,16 +46,16 @@ class TrackStatus(Enum):
 
 @dataclass
 class TrackResult:
-    """A tracking run of N steps.
+    """Result of `track`: a tracking run of N steps.
 
-    t (N+1,) [s]; q, rate (N+1, n): joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1,
-    3) [m]: tip and target in base axes, (N+1, tips, 3) for several `tips`; position_error (N+1,) [m], orientation_error
-    (N+1,) [rad] or None: for several tips the largest error; limited (N, n): bits that say why a joint was held back: 1
-    position limit, 2 speed limit, 4 acceleration limit, 8 a step that was not finite, 16 the joint was outside its limits,
-    32 a contact ahead, 64 the joint oscillated; damped (N,): whether the pseudo-inverse was damped; between_position,
-    between_orientation (N,): largest error during each step, its ends included; figures (see `figures`); elapsed [s]: time
-    of stepping; searched [s]: time of other runs and checks; gain_check: stability of the gains. The verdict compares the
-    errors with position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+    t (N+1,) [s]; q, rate (N+1, n): joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3) [m]: tip
+    and target in base axes, (N+1, tips, 3) for several `tips`; position_error (N+1,) [m], orientation_error (N+1,) [rad] or None:
+    for several tips the largest error; limited (N, n): bits that say why a joint was held back: 1 position limit, 2 speed limit, 4
+    acceleration limit, 8 a step that was not finite, 16 the joint was outside its limits, 32 a contact ahead, 64 the joint
+    oscillated; damped (N,): whether the pseudo-inverse was damped; between_position, between_orientation (N,): largest error during
+    each step, its ends included; figures (see `figures`); elapsed [s]: time of stepping; searched [s]: time of other runs and
+    checks; gain_check: stability of the gains. The verdict compares the errors with position_tolerance [m] and
+    orientation_tolerance [rad] at every sample from settle [s] on.
 
     clock (N+1,) [s]: the reference's time at each t, at which the errors are taken; sigma (N,): rate of this clock in each
     step, 0 to 1; pace (N,): index of the joint that slowed the clock, -1 for none; end [s]: the reference's time that the run
@@ -99,7 +99,7 @@ class TrackResult:
     tips: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Fill in the clock of a run in the reference's own time."""
+        """Fill in the clock if it was left out: the reference was then followed in its own time."""
         steps = len(self.t) - 1
         self.clock = self.t if self.clock is None else self.clock
         self.sigma = np.ones(steps) if self.sigma is None else self.sigma
@@ -123,7 +123,7 @@ class TrackResult:
 
     @property
     def pace_joint(self) -> str | None:
-        """Name of the joint that slowed the reference's clock most, or None."""
+        """Name of the joint whose limits delayed the run most, or None."""
         held = self.pace >= 0
         if not (self.added_time and held.any()):
             return None
@@ -254,13 +254,13 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
     return out
 
 
-POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
-ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
-SETTLE = 0.5  # [s] time in which an arm that starts at rest may still be off its path
+POSITION_TOLERANCE = 1e-3  # [m] default largest position error of a run: accuracy to which a path is commonly followed
+ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees, which move the end of a tool of half a metre by about 1 mm
+SETTLE = 0.5  # [s] default time for which an arm that starts at rest may still be off its path
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
-    """Return the time [s] from which on errors are judged: as given, else 0, or min(SETTLE, half the run) after a start at rest."""
+    """Return from which time [s] errors are judged: `settle` if given, else 0, or for a start at rest min(SETTLE, half the run)."""
     if settle is None:
         return min(SETTLE, 0.5 * float(duration)) if at_rest else 0.0
     given = number(settle, "settle [s]")
@@ -303,14 +303,14 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        # If errors are judged only from `settle` on, the run may have been slowed at its start alone, for another reason.
+        # With `settle`, no reason is given, because the run may have been slowed only at its start and for another reason.
         why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
 
 
 def hold_against(result: TrackResult, robot: Any) -> None:
-    """Change the status of a successful run to CONSTRAINT_OPEN if a closed loop of the robot is open at one of 200 samples."""
+    """Change the status of a successful run to CONSTRAINT_OPEN if a kinematic loop of the robot is open at one of 200 samples."""
     if not result.success or not robot.constraints:
         return
     rows = np.unique(np.linspace(0, len(result.q) - 1, 200).round().astype(int))

@@ -26,36 +26,36 @@ from .workspace import START, STATE, Samples, new_record, samples_from
 class RetimingConstants(NamedTuple):
     """Constants for the time law of a run, for the runs that are tried after it, and for the joint path that it follows."""
 
-    quick: float = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-    # share of the speed limits that a time law uses, because a run differs a little from the planned motion
+    quick: float = 10.0  # [1/s^2] largest change of the clock's rate per second: a run can start or stop within 0.1 s
+    # share of the speed limits that a time law uses; the rest is for a run that differs a little from the planned motion
     speed: float = 0.98
     # shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed
     acceleration: tuple[float, ...] = (0.95, 0.88, 0.8, 0.6)
     tolerance: float = 0.8  # share of the tolerances that a time law allows for the error of a step
-    faster: int = 5  # how often a time law's limits are raised after a run that kept to the reference
-    # factor on the speed and acceleration limits of a redundant robot when a faster time law is tried: other joints may help
+    faster: int = 5  # largest number of faster time laws tried after a run that kept to the reference
+    # factor on the joint limits in each faster time law for a redundant robot, whose other joints may help to keep the true limits
     joints: float = 1.2
     tip: float = 1.5  # factor by which the allowed error of the tip is raised for a faster time law
-    far_off: float = 4.0  # number of tolerances above which an error does not come from the linearisation of steps
-    enough: float = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
+    far_off: float = 4.0  # An error of more tolerances than this is too large to come from the linearisation of steps.
+    enough: float = 0.8  # share of the tolerance to aim at where the clock is slowed because a run missed the reference
     near: float = 0.05  # [s] time before and after a missed sample in which the clock is slowed
-    least: float = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
+    least: float = 0.25  # least factor on the square of the clock rate when it is lowered
     # Another run is tried only if the last one missed at most this share of what the one before it missed.
     helped: float = 0.8
     alike: float = 1.25  # ratio up to which the largest errors of two runs that left the reference count as equal
-    followed: float = 0.2  # share of the tolerance that a step of a joint path may miss by; it sets the steps' length
+    followed: float = 0.2  # share of the tolerance by which a step of a joint path may miss; it sets the steps' length
     fewest: int = 400  # least number of steps in which a joint path is computed
     # [1/s] gains of limit avoidance, tried if the default gain leads into limits
     harder: tuple[float, ...] = (10.0, 30.0)
     poses: int = 40  # least number of poses that must all be in reach before `solve_path` is called
     most_poses: int = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
-    # [m, rad] tolerance of `solve_path`; larger errors at neighbouring samples look like accelerations
+    # [m, rad] tolerances given to `solve_path`; larger errors, which vary from pose to pose, would look like accelerations
     exact: float = 1e-6
     stride: tuple[float, float] = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
-    lead: float = 0.5  # share of the distance to a joint path of `solve_path` that a step corrects, in the null space
+    lead: float = 0.5  # share of the distance to a planned joint path that a step corrects by null-space motion
     slowest: float = 0.02  # least rate of the reference's clock near obstacles
     runaway: float = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
-    at_once: int = 20_000  # number of steps between two checks for Ctrl-C
+    at_once: int = 20_000  # number of steps taken in compiled code before Ctrl-C is noticed
 
 
 RETIME = RetimingConstants()
@@ -98,7 +98,7 @@ class Taken(NamedTuple):
 
 
 class Run:
-    """Follows references (one per tip) with a tracker, as well as possible."""
+    """Follows references (one per tip) with a tracker; makes several runs if the first fails, and returns the best one."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` puts more samples into `fine`
+        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` replaces `fine` by more samples
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         weights = tracker._settings.counts[0]
@@ -134,7 +134,7 @@ class Run:
         Ctrl-C ends the search with the best run so far, which may be incomplete. It is raised again if no step was taken.
         """
         tracker = self.tracker
-        # This takes no step, but compiles (or loads) the loop, so that the reported time is only that of tracking.
+        # This call takes no step, but compiles (or loads) the loop, so that the reported time does not include compiling.
         tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RETIME.runaway)
         tracker.put_back(self.start)
         began = time.perf_counter()
@@ -160,7 +160,8 @@ class Run:
         from_rest = moves and self.tracker._begins_at_rest() and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # or the arm begins off its path
+            # no other run helps if the arm begins off its path
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -179,7 +180,7 @@ class Run:
             if taken.missed > RETIME.helped * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # Joints that were not led took a path of their own.
+            if not way.led and len(taken.Q) == len(clock.s):  # Joints that are not led may leave the planned path.
                 way = way._replace(Q=resampled(way.s, clock.s[moved], taken.Q[moved]))
             again = share < RETIME.acceleration[0]
             if again or self._excess(taken.E).max() < RETIME.far_off:
@@ -210,7 +211,7 @@ class Run:
 
     def _ways(self, here: Way) -> Iterator[Way]:
         """Yield joint paths along the reference, best first."""
-        # Each step of the run is divided into `parts`, so many that the error of a part is small against the tolerance.
+        # Each step of the run is divided into so many parts that the error of a part is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
         fine = int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / RETIME.followed)))
         parts = max(-(-RETIME.fewest // self.count), fine)
@@ -220,7 +221,7 @@ class Run:
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # whether the caller asked for no null-space motion
-        found: list[tuple[int, int, Way]] = []  # joint paths, each after its numbers of samples missed and of steps
+        found: list[tuple[int, int, Way]] = []  # for each joint path: samples missed, steps of a run along it, the path
         for way in (here, *(self._besides(here) if plain and self.redundant else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
@@ -229,7 +230,7 @@ class Run:
                 break
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
-        slowest = found[0][0] == 0 and found[0][1] > self.most  # The best path is good, but takes too many steps.
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # The best path keeps to the reference, but too slowly.
         other = plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one
         if other and (planned := self._planned(samples)) is not None:
             yield Way(s, planned, 0.0, here.posture, led=True)
@@ -291,7 +292,7 @@ class Run:
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
         more, peak = RETIME.joints**over if self.redundant else 1.0, bending(self.tracker.engine.gamma)
         speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share / peak * limits[LIMIT.acceleration]
-        # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
+        # A step at constant twist misses the target by half of the tip's acceleration times dt^2. The tolerance limits both.
         if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3)
@@ -302,7 +303,7 @@ class Run:
         times = times_of(s, rate)
         steps = max(np.ceil(times[-1] / self.dt - 1e-6), 1.0)
         slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
-        # The clock may nearly stand still, so the number of samples is limited before they are made.
+        # If the clock nearly stands still, there could be very many samples, so their number is limited before they are made.
         t = np.append(np.arange(min(steps, self.most + 1.0)) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
@@ -374,7 +375,7 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # After Ctrl-C there are as many limit bits as samples: one too many.
+        whole, C = len(clock.s), C[: len(Q) - 1]  # After Ctrl-C there is one row of limit bits too many.
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:

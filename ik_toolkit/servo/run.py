@@ -121,7 +121,7 @@ def track(
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
-    seen = np.linspace(0.0, duration, 65)  # enough samples to measure how far a path extends
+    seen = np.linspace(0.0, duration, 65)  # times [s] at which poses are sampled to see how far the path extends
     doubt_far(robot, np.stack([one.at(seen)[0] for one in references], axis=1), "the path")
     wishes = {name: options[name] for name in ("avoid_collisions", "priority") if name in options}
     q0 = _start(robot, references, wishes) if q0 is None else q0
@@ -139,7 +139,7 @@ def track(
     settle = settling(settle, tracker._begins_at_rest(), times[-1])
     tracker.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
-    # Only positions, or orientations, that have the highest priority at any tip are judged.
+    # Positions are judged only if they have the highest priority at some tip; likewise orientations.
     tolerances = tuple(np.where(tracker._judged.firm.any(axis=0), tolerances, np.inf))
     run = Run(tracker, references, times, tolerances, settle, stretch, counts)
     best = run.go(mode == "slow")

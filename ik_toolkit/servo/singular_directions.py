@@ -31,15 +31,15 @@ from .singular_step import (
 from .viability import approach
 from .workspace import STATE
 
-BEFORE = -1.0  # value of STATE.near if the pose was singular at some earlier step, but not in the last one
+BEFORE = -1.0  # value of the entry STATE.near if the pose was singular at some earlier step, but not in the last one
 
 
 @inner
 def remember(state, near, beyond, h):
-    """Update the entry STATE.near of `state`, by which later steps know of singular poses, in a step of h [s].
+    """Store in state[STATE.near] whether this step is at a singular pose, and how long the target still counts as out of reach.
 
-    near: whether the pose is singular; beyond: whether the target is out of reach along one of its singular directions. At a
-    singular pose the entry is 1 plus the time [s] for which the target still counts as out of reach.
+    near: whether the pose is singular; beyond: whether the target is out of reach along one of its singular directions; h [s]: the
+    step. The entry is 1 plus that time [s] at a singular pose, BEFORE after one, and 0 before the first.
     """
     if near:
         state[STATE.near] = 1.0 + WEAK.side if beyond else max(state[STATE.near] - h, 1.0)
@@ -51,9 +51,10 @@ def remember(state, near, beyond, h):
 def begin_mode(s, r, free, way, away):
     """Write to row r of s.V the joint direction that belongs to singular direction r; return False if there is none.
 
-    Without one, direction r is marked as removed from the task (s.lost). free: whether the joint direction in which the tip's path
-    is most curved will be looked for; s.x1 then receives the direction with which `bent_direction` needs each joint combined. way:
-    the tip motion asked for; away (n,): see `mode_speed`; s: `Bench`.
+    Without one, direction r is marked as removed from the task (s.lost). s: scratch arrays of the step (`Bench`); free: whether the
+    joint direction in which the tip's path is most curved will be looked for, by `bent_direction`; s.x1 then receives the joint
+    motion from which that search starts. way: the tip motion asked for; away (n,): direction in which joints leave a singular pose,
+    see `mode_speed`.
     """
     there = mode_direction(s.W, s.sv, r, away, way, s.V[r])
     if not there:
@@ -65,11 +66,11 @@ def begin_mode(s, r, free, way, away):
 
 @inline
 def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 (n,) the joint motions for which (dJ/dt along s.x1) s.x2, the curvature of the tip's path, is needed.
+    """Write to s.x1 and s.x2 (n,) two joint motions for which the curvature of the tip's path is needed: (dJ/dt along s.x1) s.x2.
 
-    part: ALONG, BESIDE or BOTH of `mode_probe`; or part = i - n < 0: for an entry of the gradient of singular value r, s.x2 moves
-    joint i alone, and s.x1 stays. Returns the joints' present rate along row r of s.V, or 0 for the gradient. rate (n,): present
-    joint rates; h [s]: the step.
+    part: ALONG, BESIDE or BOTH, see `mode_probe`; or part = i - n < 0 for entry i of the gradient of singular value r: s.x2 then
+    moves joint i alone, and s.x1 stays. Returns the joints' present rate along row r of s.V, or 0 for the gradient. rate (n,):
+    present joint rates; h [s]: the step.
     """
     n = rate.shape[0]
     if part < 0:  # Joint n + part moves alone, for one entry of the gradient of the singular value.
@@ -85,7 +86,8 @@ def probe_mode(s, r, part, rate, h):
 def note_curve(s, r, part):
     """Store the curvature along task direction u_r (row r of s.U) that was evaluated into s.bias, for the motion of `probe_mode`.
 
-    It goes to s.t[part] for part >= 0, else to the joint's entry of s.null: 0 if that joint cannot move.
+    It goes to s.t[part] for part >= 0, else to entry part + n of s.null, of the joint that moves alone; 0 if that joint cannot
+    move.
     """
     curved = dot(s.U[r], s.bias, s.bias.shape[0])
     i = part + s.null.shape[0]
@@ -125,10 +127,10 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     """Decide whether to remove a singular direction, `mode` (WeakMode), from the task, and how fast the joints move along it.
 
     If it is removed, s.lost[r] becomes 1 and s.xk[r] the speed along V_r (r: the direction's index). s.t holds the curvature along
-    u_r of each motion of `mode_probe`. gain [1/s]: rate at which the error is closed; h [s]: the step; limits (4, n): as in
-    `Settings`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
-    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
-    now if that is not known. Returns whether the target is out of reach along this direction now.
+    u_r of each motion of `mode_probe`. gain [1/s]: rate at which the error is closed; h [s]: the step; limits (4, n): lower, upper,
+    speed, acceleration. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of
+    reach. away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which
+    they are now if that is not known. Returns whether the target is out of reach along this direction now.
     """
     r, v, left, moved = mode.r, s.V[mode.r], mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]
@@ -154,7 +156,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
             left *= most / (gain * abs(y))
     edge = D < 0.0
     x = (WEAK.caution if edge else 1.0) * y / h
-    # Joints that have got far onto the other side of the singular pose move back across it.
+    # Joints that have gone far beyond the singular pose, to its other side, move back across it.
     if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
         x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
@@ -195,8 +197,9 @@ def straight_along_axis(task, look, s, away):
 def judge_modes(law, task, look, s, limits, h, own, heavy):
     """Decide for each singular direction whether to remove it from the task, and how fast the joints move along it.
 
-    law: `Law`; s: `Bench`, whose lost, xk and pull receive the decisions (see `mode_speed`); limits (4, n): as in `Settings`; h
-    [s]: the step; own: `Carried`; heavy: largest weight of an error. Returns whether the target is out of reach along one of them.
+    law: the method and its gains (`Law`); task, look: the compiled problem and its evaluation; s: `Bench`, whose lost, xk and pull
+    receive the decisions (see `mode_speed`); limits (4, n): lower, upper, speed, acceleration; h [s]: the step; own: state of the
+    tracker (`Carried`); heavy: largest weight of an error. Returns whether the target is out of reach along one of them.
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state
@@ -205,7 +208,8 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         if s.sv[r] >= EASING.region * law.damping:
             continue
         if not near and s.sv[r] > WEAK.clear and state[STATE.near] == 0.0:
-            clear(away)  # Before the first singular pose, `away` is only a default for the side the joints came from.
+            # Before the first singular pose, `away` holds only a default for the side from which the joints come.
+            clear(away)
         near = True
         left, moved = dot(s.U[r], s.e, m), mode_moved(s.U[r], s.e, s.ahead, s.f, h)
         free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
@@ -221,7 +225,8 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         rest = heavy * others if state[STATE.near] == 1.0 + WEAK.side else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        # `down_slopes` moves the joints along the part of sigma_r v_r across V_r, damped like the other errors in `hold_back`.
+        # `down_slopes` moves the joints along the part of sigma_r v_r that is perpendicular to V_r. The error there is damped as in
+        # `hold_back`.
         if free and out:
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

@@ -31,35 +31,39 @@ ALONG, BESIDE, BOTH = range(3)  # codes of the joint motions for which `mode_pro
 
 
 class SingularThresholds(NamedTuple):
-    """Thresholds for singular directions and motion along them.
+    """Thresholds by which directions count as singular, and constants for the joint motion along them.
 
     Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
     """
 
     zero: float = 1e-9  # singular value below which the tip does not move to first order
-    # This is added to the squared singular values before factoring. It is negligible against the least that is kept, `lost`
-    # squared.
+    # This is added to the squared singular values before factoring. It is negligible against the smallest one that stays in the
+    # task, `lost` squared.
     nothing: float = 1e-12
-    # If the component of a unit vector along a direction exceeds this, it is clear to which side the vector points.
+    # A unit vector points clearly to one side along a direction if its component there exceeds this.
     clearly: float = 0.1
-    # The side from which the joints came counts if the vector that remembers it has a larger component than this along the
-    # direction; a smaller component may come from another singular pose.
+    # The vector `away` remembers the side from which the joints came to a singular pose. It counts if its component along the
+    # singular direction exceeds this; a smaller one may come from another singular pose.
     known: float = 0.5
     lost: float = 5e-3  # singular value below which a direction is removed from the task
-    # A direction is also removed if the product of the move asked for and the curvature exceeds this share of sigma_k^2.
+    # A direction is also removed from the task if the tip motion asked for along it times the curvature of the tip's path exceeds
+    # this share of sigma_k^2.
     bent: float = 0.2
-    fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
+    fade: float = 0.1  # [s] time constant with which joint motion fades that does not move the tip at all
     least: float = 1e-3  # damping lambda at sigma_k = 0; a motion through a singular pose errs by about lambda^2
     flat: float = 1e-3  # [arm reaches / rad^2] a smaller curvature counts as zero
-    # A step takes this share of the move to the closest pose; full steps would zigzag, as in steepest descent.
+    # If the target is out of reach, a step takes this share of the move to the closest pose; full steps would zigzag, as in
+    # steepest descent.
     caution: float = 2.0 / 3.0
     # An error is closed with damping if it is below this share of another error that cannot be closed.
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
-    side: float = 0.2  # [s] for which the side from which the joints came is remembered; longer than an oscillation
-    # share of an error fed back per sample by methods without a gain; the best one for method cv
+    # [s] time for which the side from which the joints came is remembered; longer than an oscillation lasts
+    side: float = 0.2
+    # largest share of an error that a step corrects along a singular direction or in a damped descent; the best one for method cv
     gain: float = 2.0 / 3.0
-    close: float = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
+    # [arm reaches or rad] errors up to this size count as small: rotations then add like vectors, to within a twentieth
+    close: float = 0.1
 
 
 WEAK = SingularThresholds()
@@ -89,9 +93,9 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def leave_modes(W, sigma, r, x):
-    """Remove from the joint motion x (n,), in place, what moves the tip, except along task direction u_r (r = -1: no exception).
+    """Remove from the joint motion x (n,), in place, what moves the tip, except along task direction u_r (none excepted if r = -1).
 
-    W (m, n) and sigma (m,) are as `modes` wrote them. Returns the length of what is left of x.
+    W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns the length of what is left of x.
     """
     m, n = W.shape
     for c in range(m):
@@ -104,14 +108,14 @@ def leave_modes(W, sigma, r, x):
 def lost_direction(W, sigma, away, v):
     """Write to v (n,) a unit joint direction that does not move the tip: `away` (n,) without the part that moves it.
 
-    W and sigma are as `modes` wrote them. Returns False if nothing is left of `away`.
+    W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns False if nothing is left of `away`.
     """
     copy(away, v)
     leave_modes(W, sigma, -1, v)
     # A second projection removes the rounding of the first; twice is enough (Kahan).
     size = leave_modes(W, sigma, -1, v)
     for i in range(v.shape[0]):
-        v[i] = v[i] / size if size > WEAK.zero else 0.0  # A rest that is only rounding gives no direction.
+        v[i] = v[i] / size if size > WEAK.zero else 0.0  # If only rounding is left, there is no direction.
     return size > WEAK.zero
 
 
@@ -144,10 +148,10 @@ def mode_probe(v, rate, part, h, x):
 def way_along(sigma, b, E, own, side, home, h):
     """Return the move y along a joint direction v_k that moves the tip by E along u_k, or as nearly as it can.
 
-    sigma and b: tip motion and curvature along u_k per unit of y, so that sigma y + b y^2 / 2 = E is solved. Also returned is the
-    discriminant D, negative if E is out of reach. There are two solutions, one on each side of the singular pose. The result is the
-    one towards which the joints already move (own: their move along v_k in a step). If they rest at the singular pose, or with
-    `home`, it is the one on the side from which they came (side > 0: the side to which v_k points).
+    sigma and b: tip motion and curvature along u_k per unit of y, so that sigma y + b y^2 / 2 = E is solved. Also returns the
+    discriminant D of this equation, which is negative if E is out of reach. There are two solutions, one on each side of the
+    singular pose. The result is the one towards which the joints already move (own: their move along v_k in a step). If they rest
+    at the singular pose, or with `home`, it is the one on the side from which they came (side > 0: the side to which v_k points).
     """
     D, kept = sigma * sigma, own
     if abs(b) > WEAK.flat:
@@ -162,10 +166,11 @@ def way_along(sigma, b, E, own, side, home, h):
             # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # This D belongs to the largest curvature that counts as zero.
+        D -= 2.0 * WEAK.flat * abs(E)  # D for the largest curvature that counts as zero
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
-    weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.
+    # The weight is the second derivative of half the squared error at the solution.
+    weight = D if D > 0.0 else -0.5 * D
     return (weight * y + WEAK.least * WEAK.least * kept) / (weight + WEAK.least * WEAK.least), D
 
 
@@ -186,8 +191,9 @@ def mode_moved(u, e, ahead, f, h):
 def mode_direction(W, sv, r, away, way, v):
     """Write to v (n,) the unit joint direction that belongs to singular value r; return False if there is none to move along.
 
-    W (m, n) and sv (m,) are as `modes` wrote them; way: tip motion that is asked for along this direction. For a singular value
-    near 0 the direction is the part of the joint motion `away` (n,) that does not move the tip; there is none if `way` is 0.
+    W (m, n): rows sigma_k v_k, and sv (m,): singular values, from `modes`; way: tip motion that is asked for along this direction.
+    For a singular value near 0 the direction is the part of the joint motion `away` (n,) that does not move the tip; there is none
+    if `way` is 0.
     """
     clear(v)
     if sv[r] > WEAK.zero:
@@ -200,7 +206,8 @@ def mode_direction(W, sv, r, away, way, v):
 def begin_curved(W, v, sigma, r, away, x):
     """Write to x (n,) the joint direction from which the search of `bent_direction` starts.
 
-    It is `away` (n,) without what moves the tip along task directions other than u_r or, if little is left of it, v (n,).
+    It is `away` (n,) without what moves the tip along task directions other than u_r or, if little is left of it, v (n,). W (m, n):
+    rows sigma_k v_k, and sigma (m,): singular values, from `modes`.
     """
     copy(away, x)
     size = leave_modes(W, sigma, r, x)
@@ -215,7 +222,8 @@ def bent_direction(W, v, sigma, r, slope):
     A stretched redundant arm has two joint directions that hardly move the tip, and v may be any mixture of them. Only the one
     along which the tip's path is curved can bring the tip nearer. The gradient of sigma_r, slope (n,), points along it: entry i is
     the component along u_r of (dJ/dt along x) for a motion of joint i alone, where x is what `begin_curved` wrote (one step of a
-    power iteration). W and sigma are as `modes` wrote them. Returns the tip's motion along u_r per unit of motion along the new v.
+    power iteration). W (m, n): rows sigma_k v_k, and sigma (m,): singular values, from `modes`. Returns the tip's motion along u_r
+    per unit of motion along the new v.
     """
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
@@ -231,8 +239,8 @@ def bent_direction(W, v, sigma, r, slope):
 def take_out(J, W, U, V, lost, f, G):
     """Remove the task directions marked by 1 in lost (m,) from the Jacobian J (n, m) and the target's twist f (m,).
 
-    W (m, n) and U (m, m) are as `modes` wrote them; V (m, n): joint directions of those removed. G receives the factor of the rest
-    of J for `laws.apply`. Returns how many directions were removed.
+    W (m, n): rows sigma_k v_k, and U (m, m): rows u_k, from `modes`; V (m, n): joint directions of the directions removed. G
+    receives the Cholesky factor of what is left of J, for `laws.apply`. Returns how many directions were removed.
     """
     n, m = J.shape
     count = 0
@@ -250,7 +258,7 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[r, c] * V[r, d]
-    if not wide:  # Without this addition a joint that moves nothing would make the matrix singular.
+    if not wide:  # Without this addition a joint that does not move the tip would make the matrix singular.
         for c in range(k):
             G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
@@ -259,10 +267,10 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Rewrite the task, J (n, m) and the rates ask (m,), along the task directions u_k that are kept, so that rows are independent.
+    """Rewrite the task, J (n, m) and the rates ask (m,), in the task directions u_k that are kept; its rows are then independent.
 
-    W, U: as `modes` wrote them; lost (m,): 1 for a direction that is removed; y (m,): scratch. An error of weight 0 keeps a
-    direction of its own if `modes` was started with zeros in `near`.
+    W (m, n): rows sigma_k v_k, and U (m, m): rows u_k, from `modes`; lost (m,): 1 for a direction that is removed; y (m,): scratch.
+    An error of weight 0 keeps a direction of its own if `modes` was started with zeros in `near`.
     """
     n, m = J.shape
     if not any_of(lost):
@@ -277,7 +285,7 @@ def by_modes(J, W, U, lost, ask, y):
 
 @inner
 def hold_back(U, sigma, lost, bend, e, ahead, f, more):
-    """Damp the correction of errors that can be closed while another error cannot, as it is along directions removed from the task.
+    """Damp the correction of errors that can be closed, while another error, along directions removed from the task, cannot.
 
     Along each direction u_k that is kept, e, ahead and the target's twist f (m,) are multiplied by sigma_k^2 / (sigma_k^2 + bend r)
     (Levenberg-Marquardt). Here r is the error that cannot be closed, and bend the largest curvature of the tip's path. The second
@@ -320,9 +328,9 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Let the joints go on closing the error along directions that `bent_direction` has turned, with the part of v_k that it drops.
+    """Let the joints also move along the part of v_k that is lost where `bent_direction` has replaced v_k by another direction V_k.
 
-    slope_k is the part of sigma_k v_k (row k of W) that is perpendicular to V_k, the direction that replaces v_k (row k of V). The
+    slope_k is the part of sigma_k v_k (row k of W) that is perpendicular to V_k (row k of V); the tip still moves along it. The
     component of the rates x (n,) along slope_k becomes pull[k] slope_k, or 0 if `speeds` is 0; if pull[k] is 0, x stays. The change
     is faded in while sigma_k grows from half of WEAK.lost to WEAK.lost.
     """

@@ -36,9 +36,10 @@ GAINS = {
     "aa": ("share",),
     "aad": ("gamma", "share"),
 }  # the gains of each tracking method, in the order used by BEST
-BORDER = 1e-9  # gains within this relative distance of the stability border are called marginal
-# The best gains, kappa h, (kp h^2, kd h) and share, have the smallest spectral radius. In method cv a complex eigenvalue pair turns
-# real at 2/3. In method ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
+BORDER = 1e-9  # gains within this relative distance of the stability border count as marginal
+# BEST holds the gains with the smallest spectral radius: kappa h of cv, (kp h^2, kd h) of ca, and share of av. In method cv a
+# complex pair of eigenvalues becomes real at 2/3. In method ca there is then a triple eigenvalue r, the real root of 9 r^3 - 9 r^2
+# + 3 r + 1 = 0.
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST = {
     "cv": (2.0 / 3.0,),
@@ -48,7 +49,7 @@ BEST = {
 
 
 class DefaultGains(NamedTuple):
-    """The gains whose default does not depend on the sample time."""
+    """Default values of the gains gamma and share, which do not depend on the sample time."""
 
     gamma: float = 0.6  # new rate's weight in method aad, whose eigenvalue is then 1 - 1/gamma = -2/3; set by hand
     share: float = 1.0  # share of the error that a step of av, aa or aad removes; 1 as published
@@ -68,7 +69,7 @@ def mapping_matrix(
     share: float = DEFAULT.share,
     dof: int = 1,
 ) -> np.ndarray:
-    """Return the matrix that carries the linearised state of a method over one sample of h [s], at rest.
+    """Return the matrix by which a tracking method, linearised at rest, multiplies its state in one sample time h [s].
 
     The state is (q, previous command) in method cv, (q, qd, previous command) in ca, (q, qd) in aa and aad, and q in
     av; each entry is repeated on the diagonal for `dof` joints, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd
@@ -114,11 +115,11 @@ def spectral_radius(A: np.ndarray) -> float:
 
 
 def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> np.ndarray:
-    """Return the matrix (k, k) of one joint over one sample, with its position measured `delay` samples ago.
+    """Return the matrix (k, k) by which a method multiplies the state of one joint in a sample, if positions are measured late.
 
-    The state is that of `mapping_matrix`, followed by the positions one, two, ... samples ago. Only the position from
-    which the error is taken is late: rates and earlier commands are the tracker's own. A fraction of a sample means a
-    position between two samples, with constant rate.
+    delay: age of the measured position in samples. The state is that of `mapping_matrix`, followed by the positions one, two, ...
+    samples ago. Only the position from which the error is taken is late: rates and earlier commands are the tracker's own. A
+    fraction of a sample means a position between two samples, with constant rate.
     """
     A = mapping_matrix(method, h, **gains)
     delay = _samples(delay)
@@ -138,9 +139,9 @@ def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> n
 
 
 def feedback_column(A: np.ndarray) -> np.ndarray:
-    """Return the feedback part (k,) of the first column of A (k, k), a matrix of `mapping_matrix` for one joint.
+    """Return how the measured position of a joint enters its next state (k,): the feedback part of the first column of A (k, k).
 
-    It says how the measured position enters the next state; the rest of the column carries the position itself over.
+    A is a matrix of `mapping_matrix` for one joint. The other part of the column keeps the position itself.
     """
     return A[:, 0] - np.eye(len(A))[0]
 
@@ -169,15 +170,16 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     while np.abs(power).max() > 1e-20:
         P = P + power @ P @ power.T
         power = power @ power
-    # In these methods the rate is part of the state; if it zigzags, it can exceed the motion of a step over h.
+    # In these methods the rate is part of the state. If it zigzags, it can be larger than the motion of a step divided by h.
     if method in ("ca", "aa", "aad"):
         return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
-    move = M[0] - np.eye(len(M))[0]  # row that gives the next motion from the state; B[0] is the noise's own share
+    # row that gives the motion in the next step from the state; B[0] is what the noise of this sample adds
+    move = M[0] - np.eye(len(M))[0]
     return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
 
 
 def p_limit(d):
-    """Return the upper stability border of p = kp h^2 for the acceleration-level method ca, given d = kd h."""
+    """Return the value of p = kp h^2 above which the acceleration-level method ca is unstable, for d = kd h."""
     return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
 
 
@@ -191,7 +193,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     one_of(method, GAINS, "tracking method")
     h = positive(h, "the sample time [s]")
     units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
-    # Methods aa and aad have the eigenvalue of av, and another one that `share` does not change.
+    # Methods aa and aad have the eigenvalue of av, and another one that does not depend on `share`.
     law = method if method in BEST else "av"
     found = BEST[law]
     if _samples(delay):
@@ -269,7 +271,7 @@ class GainCheck:
 
 
 def complete(method: str, gains: dict[str, float]) -> dict[str, float]:
-    """Return the given gains of a method, completed by defaults where it has them. Raises InvalidOption for an unknown name."""
+    """Return the given gains of a tracking method and the defaults of those not given. Raises InvalidOption for an unknown name."""
     one_of(method, GAINS, "tracking method")
     for name in gains:
         if name not in GAINS[method]:
@@ -302,7 +304,7 @@ def check_gains(
         robot: A Robot. With `path`, the gains are also judged along this path, by the growth of a small error over the path,
             or over a lap if the path is closed.
         path: A Reference, as from ik.circle. A delay cannot be judged along it.
-        q0: (n,) the motion along the path follows the solution near it [rad or m]; default: home.
+        q0: (n,) configuration [rad or m] near which the motion along the path starts; default: home.
         null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
         gains: By method: kappa (cv); kp and kd (ca); share (av and aa); gamma and share (aad).
 
@@ -335,7 +337,8 @@ def check_gains(
             else " Noise on the measured positions grows without bound."
         )
     found = None
-    # Gains that are unstable at rest only at this sample rate are judged along the path, too, which may need a still higher rate.
+    # Gains that would be stable at rest at a higher sample rate are judged along the path as well, which may need a still higher
+    # rate.
     rescued = path is not None and verdict != "stable" and 0.0 < longest < math.inf and not delay
     if verdict != "stable" and not rescued:
         message += _way_out(method, best, longest, delay)

@@ -17,18 +17,20 @@ from .workspace import samples_of
 
 
 class StatusThresholds(NamedTuple):
-    """Thresholds by which the status of a step is judged."""
+    """Thresholds by which the status of a tracker's step is judged."""
 
     position: float = 1e-3  # [m] error above which a joint limit or the edge of the reach is reported as the reason
     angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
     at_rest: float = 1e-3
-    # A joint slower than this share of its speed limit counts as not moving at all. To close an error worth reporting (`position`)
-    # even a gain of 0.1/s would ask for a share of about 1e-4.
+    # A joint slower than this share of its speed limit counts as not moving at all. Even a gain of 0.1/s would ask for a share of
+    # about 1e-4 to close an error that is worth reporting (`position`).
     resting: float = 1e-6
-    falling: float = 0.2  # The tip comes nearer if the error falls by this share of what feedback would remove.
-    rounding: float = 1e-6  # share by which an error may exceed what the target's own motion explains
-    still: float = 1e-3  # The tip hardly comes nearer if a step removes less than this share of the error.
+    # The tip counts as coming nearer if the error falls by at least this share of what the feedback alone would remove.
+    falling: float = 0.2
+    # allowance for rounding: share added to the part of an error that is due to the target's own motion
+    rounding: float = 1e-6
+    still: float = 1e-3  # The tip counts as hardly coming nearer if a step removes less than this share of the error.
 
 
 JUDGE = StatusThresholds()
@@ -61,10 +63,10 @@ class StepStatus(Enum):
 
 
 class StatusContext(NamedTuple):
-    """What the status of a step depends on besides the step: the same for all steps of a tracker."""
+    """What the status of a step depends on besides the step itself; it is the same for all steps of a tracker."""
 
     robot: Any
-    settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
+    settings: Callable[[float], dict[str, float]]  # function that returns the method's gains for a sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
     firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the highest priority level
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
@@ -78,10 +80,11 @@ class Outcome(NamedTuple):
     code: np.ndarray  # (n,) bits of the limits that were active (`viability.LimitBits`)
     before: np.ndarray  # (n,) previous command [rad or arm reaches]
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
-    samples: np.ndarray  # block of `Samples`: the targets before and after the step, as views when they are needed
-    dt: float  # length of the update, of which the step is a part [s]
-    h: float  # length of the step [s]
-    lost: float  # number of singular directions, in which the tip can hardly move
+    # the targets before and after the step: flat array of a `Samples`, which is divided when it is needed
+    samples: np.ndarray
+    dt: float  # [s] length of the update; a long one is taken in several steps
+    h: float  # [s] length of the step
+    lost: float  # number of singular directions (in which the tip can hardly move) removed from the task
     down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
     finite: bool  # whether all numbers of the target were finite
     # largest difference between measured and commanded joints, as a share of the allowed one; infinite if not finite
@@ -109,7 +112,7 @@ class Step:
     __slots__ = ("_outcome", "q", "rate")
 
     def __init__(self, q: np.ndarray, rate: np.ndarray, outcome: Outcome) -> None:
-        """Keep the command, and the outcome that the status is computed from."""
+        """Keep the command q, rate, and the outcome from which status and reason are computed when they are read."""
         self.q, self.rate, self._outcome = q, rate, outcome
 
     @property
@@ -143,7 +146,7 @@ class Step:
             return StepStatus.LIMITED if jumped else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
-        # A limit may also keep the arm from what it would do for a lower level of priority.
+        # A limit may also stop the arm from closing an error of a lower priority level.
         stays = (held and self._away(every=True)) or ((o.lost or self._rests()) and self._away())
         if stays and self.at_rest and not self._falls():
             return StepStatus.BLOCKED if held & BIT.row else StepStatus.AT_LIMIT
@@ -208,7 +211,7 @@ class Step:
 
     @property
     def reason(self) -> str:
-        """A sentence that says why the status is not OK, or that the error still falls; '' if neither is worth saying."""
+        """A sentence that says why the status is not OK, or for OK that an error is still left; '' if there is nothing to say."""
         o, status = self._outcome, self.status
         if status is StepStatus.OK:
             before, after = self._sizes()

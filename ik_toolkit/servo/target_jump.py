@@ -22,22 +22,24 @@ from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, LIMIT, MARGIN, UNKNOWN, bending, time_left, travel
 
-# A straight line of the tip is chosen if it takes at most this many times as long as the direct joint move.
+# default of the option straight: the tip moves in a straight line if that takes at most this many times as long as the direct joint
+# move
 STRAIGHT = 1.2
 
 
 class JumpThresholds(NamedTuple):
-    """Thresholds that decide when a joint move or a straight line replaces the tracking method, and when it ends."""
+    """Thresholds for the move to a target that jumped, which replaces the tracking method: when it begins, its way, and its end."""
 
     # number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
     points: int = 24
-    torn: float = 4.0  # A line that takes this many times as long as a joint move must contain a change of posture.
+    # A straight line that takes this many times as long as a joint move must pass through a change of posture.
+    torn: float = 4.0
     near: float = 2e-3  # [m] An error smaller than this (1 rad counts as length_scale) is left to the tracking method.
-    # A tracking method counts as hindered if more than this share of an error is left after a step; its best gains leave a third at
-    # most.
+    # A tracking method counts as too slow if more than this share of an error is left after a step; with its best gains at most a
+    # third is left.
     slow: float = 0.5
-    # Of two postures, the one found with slow joints made costly is taken if its move takes less than this share of the other's
-    # time.
+    # Of two postures found for the target, the one found by a solver that moves slow joints less is taken if the move there takes
+    # less than this share of the time of the other move.
     sooner: float = 0.5
     close: float = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
@@ -46,7 +48,7 @@ LEAP = JumpThresholds()
 
 
 class Route(NamedTuple):
-    """A joint motion through K points, cubic in between [rad or arm reaches].
+    """A joint motion [rad or arm reaches] through K points, cubic in between.
 
     t (K,) [s]: times of the points; q (K, n) and rate (K, n): joint values and rates there.
     """
@@ -72,7 +74,7 @@ class Route(NamedTuple):
 class Choice(NamedTuple):
     """The way chosen to a target that jumped: a straight line of the tip, or a joint move."""
 
-    straight: bool  # whether the straight line of the tip was chosen
+    straight: bool  # whether the straight line of the tip was chosen, and not the joint move
     ratio: float  # duration of the straight line over that of the direct joint move; inf if there is no line
 
 
@@ -90,7 +92,7 @@ class Leap:
         or None.
         """
         self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
-        # This compiles (or loads) the time law now, and not in a control loop.
+        # This call compiles (or loads) the time law now, so that no control loop has to wait for it.
         timed(np.eye(2), np.zeros(2), np.ones((4, 2)), 1.0)
         self.forget()
 
@@ -114,12 +116,12 @@ class Leap:
             return
         if taken.left < LEAP.slow * self.postures.size(taken.E[0]):
             return
-        # A target that did not jump but moved here smoothly may be about to turn back, so no move begins until it has rested.
+        # A target that moved here smoothly, without a jump, may be about to turn back, so no move begins until it has rested.
         if not taken.stand[STAND.jumped] and taken.stand[STAND.rest] < ARRIVAL.wait:
             return
         self._place = T[1].copy()
-        # If the target moved here smoothly and a joint is at its limit, only another posture can reach further, and
-        # `Reconfiguration` searches for one. With a locked joint no move is made, as an operator who locks one wants no large
+        # If the target moved here smoothly and a joint is at its limit, only another posture can reach it, for which
+        # `Reconfiguration` searches. With a locked joint no move is made, because an operator who locks a joint wants no large
         # moves.
         if (not taken.stand[STAND.jumped] and (taken.code & BIT.position).any()) or locked(limits):
             return
@@ -132,7 +134,7 @@ class Leap:
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._choose_way(found[0], taken)
         elif not len(found) and taken.stand[STAND.jumped] and self._elsewhere and self._enough <= LEAP.close:
-            # There is only one search for each jump, even if the target creeps on.
+            # There is only one search for each jump, even if the target then moves on slowly.
             taken.stand[STAND.jumped] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
 
@@ -194,17 +196,17 @@ class Leap:
         return True
 
     def blocked(self) -> None:
-        """Give up the move because of a collision ahead; the tracking method may slide along the obstacle."""
+        """Give up the move because of a collision ahead; the tracking method takes over and may slide along the obstacle."""
         self.goal = None
 
 
 def ways(
     postures: Postures | None, chosen: bool, straight: Any, reconfigure: Any, world: Any
 ) -> list[Leap | Reconfiguration]:
-    """Return the objects that move a tracker's joints where its method fails or is slow; none if `postures` is None.
+    """Return the objects that move a tracker's joints in place of its method where this fails or is slow.
 
-    chosen: whether the caller chose the method's gains; straight, reconfigure: options of `Tracker`; world: a CollisionModel or
-    None. Raises InvalidOption.
+    postures: finds joint values for targets; if None, the result is empty; chosen: whether the caller chose the method's gains;
+    straight, reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises InvalidOption.
     """
     elsewhere = switch(reconfigure, "reconfigure")
     longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
@@ -217,9 +219,9 @@ def ways(
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
     """Return the fastest joint motion through points (K + 1, n), from joint rates rate (n,) to rest, inside limits (4, n).
 
-    gamma: weight of the new rate in a step. The result is None if two neighbouring points coincide. The path coordinate is time [s]
-    at full speed: the length of a segment is the time that its slowest joint needs at that joint's speed limit, so the rate of the
-    coordinate is at most 1.
+    gamma: weight of the new rate in a step. The result is None if two neighbouring points coincide. The path coordinate is the time
+    [s] at full speed: the length of a segment is the time in which the joint that needs longest covers it at its speed limit. The
+    rate of the coordinate is therefore at most 1.
     """
     top, a = speeds(limits), (1.0 - MARGIN.held_back) * limits[LIMIT.acceleration] / bending(gamma)
     d = np.diff(points, axis=0)

@@ -26,10 +26,10 @@ from .workspace import Samples, new_samples, samples_from, samples_of
 
 
 class TargetCodes(NamedTuple):
-    """Codes for how far a new target has been checked (given to `arrive`) and whether it is accepted (returned by it)."""
+    """Codes for how far a new target has been checked (an argument of `arrive`) and whether it is accepted (its result)."""
 
-    fine: int = 0  # given: the target has been checked; returned: it is accepted
-    doubtful: int = 1  # given: the target has not been checked; returned: Python has to check it in full
+    fine: int = 0  # as argument: the target has been checked; as result: it is accepted
+    doubtful: int = 1  # as argument: the target has not been checked; as result: Python has to check it in full
     refused: int = 2  # the target is not finite, so the last one is kept
 
 
@@ -37,18 +37,20 @@ class TargetCodes(NamedTuple):
 class ArrivalThresholds(NamedTuple):
     """Thresholds by which targets are accepted, and their motion is judged."""
 
-    # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
+    # Rotation matrices whose entries err by less are accepted at once; the full check corrects or refuses others.
     tight: float = 1e-9
-    # [m/s, or rotation matrix entries per s] A slower target is at rest; a target that reverses is so slow only briefly.
+    # [m/s, or rotation matrix entries per s] A target slower than this is at rest, if it is so for a while: a target that reverses
+    # is slow only briefly.
     rests: float = 5e-4
-    # [m, or rotation matrix entries] A larger change between two targets is a jump; a fast hand makes a fifth of this.
+    # [m, or rotation matrix entries] A larger change from one target to the next is a jump; a fast hand moves a fifth of it.
     jump: float = 0.05
     # Number of targets over which the longest step is remembered; gains are chosen for this step. If steps vary from 0.5 to 1.5
     # times their mean, method ca then reduces an error to 0.59 of it in each step, with gains for each step only to 0.99.
     recent: int = 10
     # [m, or rotation matrix entries] largest change of a stationary target in the time `wait`: 20 mm/s, or 0.014 rad/s; set by hand
     still: float = 2e-3
-    wait: float = 0.1  # [s] time within which a target that stands still may not move by more than `still`; set by hand
+    # [s] A target stands still if it has moved by no more than `still` within this time; set by hand.
+    wait: float = 0.1
 
 
 GIVEN, ARRIVAL = TargetCodes(), ArrivalThresholds()
@@ -60,11 +62,11 @@ class RestState(NamedTuple):
     Before its first motion a target counts as having jumped.
     """
 
-    seconds: int  # [s] for which the target has stood still, to within ARRIVAL.still
+    seconds: int  # [s] time for which the target has stood still, to within ARRIVAL.still
     jumped: int  # 1: the target jumped to the pose at which it now stands still
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
-    rest: int  # [s] for which the target has been at rest; a trembling target never is
-    known: int  # 1: the rest of the array holds the F poses at which the target stands still
+    rest: int  # [s] time for which the target has been at rest; a trembling target never is
+    known: int  # 1: the entries after this one hold the F poses at which the target stands still
 
 
 STAND = RestState._make(range(len(RestState._fields)))
@@ -116,7 +118,7 @@ def difference(T0, T1, dt, V, first):
 
 @inner
 def distance_between(A, B, first):
-    """Return the norm of the difference between the numbers A (K,) and those of B from index `first` on."""
+    """Return the Euclidean distance between the numbers A (K,) and as many of B, from index `first` on."""
     total = 0.0
     for k in range(A.shape[0]):
         total += (A[k] - B[first + k]) ** 2
@@ -125,7 +127,10 @@ def distance_between(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update stand (5 + 16 F,), see `RestState`, after a new target; T (2, F, 4, 4): the last two targets, dt [s] apart."""
+    """Update `stand` (5 + 16 F,), which says whether the target stands still (`RestState`), after a new target.
+
+    T (2, F, 4, 4): the last two targets, dt [s] apart.
+    """
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = distance_between(now, flat(T[0]), 0), ARRIVAL.still * dt / ARRIVAL.wait
     if stand[at.known] == 0.0 or moved > ARRIVAL.jump or distance_between(now, stand, first) > ARRIVAL.still:
@@ -202,7 +207,7 @@ class Stream(CopiesViews):
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        # Three numbers: the longest recent time between two targets [s], the longest one since then [s], the targets since then.
+        # the longest recent time between two targets [s]; of the targets since then, the longest time [s] and their number
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
@@ -215,7 +220,7 @@ class Stream(CopiesViews):
         self.pace = 0.0
 
     def look_anew(self) -> None:
-        """Forget where the target stood still; when it next stands still, it counts as having jumped there."""
+        """Forget whether the target stands still; when it next does, it counts as having jumped there."""
         self.stand[:] = 0.0
         self.stand[STAND.jumped] = 1.0
         self.unseen = 0.0
@@ -242,13 +247,13 @@ class Stream(CopiesViews):
         return done == GIVEN.fine
 
     def _keep_pace(self, dt: float) -> None:
-        """Replace the longest time between targets after ARRIVAL.recent shorter ones."""
+        """Forget the longest time between targets after ARRIVAL.recent shorter ones; the longest of these replaces it."""
         self._second, self._count = max(self._second, dt), self._count + 1
         if self._count >= ARRIVAL.recent:
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
-        """Note that a step was taken to the next target, which then becomes the last one when another target arrives."""
+        """Note that a step was taken to the next target; it becomes the last target when another one arrives."""
         self._moved = 1
 
     def divided(self, parts: int) -> list[Samples]:

@@ -31,11 +31,11 @@ from .viability import BIT, CALMING, watch
 from .workspace import START, STATE, Record, Samples, carried_of, new_carried, new_record, new_settings
 
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
-RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a measurement is doubted
+RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints above which a measurement is doubted
 
 
 class Tracker(CopiesViews, ReadOnly):
-    """Follow targets that arrive one by one.
+    """Makes a robot's tips follow targets that arrive one by one, in the caller's control loop.
 
     Args:
         robot: A Robot, or a Tree (several tips).
@@ -125,9 +125,9 @@ class Tracker(CopiesViews, ReadOnly):
         self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
-        self._ordered: tuple = ()  # arguments of the last call of `_order`, which is called only if they have changed
+        self._ordered: tuple = ()  # arguments of the last call of `_order`, which is called again only if they change
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = None  # what made the last step in place of the method, if anything
+        self._goes: Leap | Reconfiguration | None = None  # what led the last step in place of the method, or None
         self.reset(q0, rate0=rate0)
         self._seal()
 
@@ -199,7 +199,7 @@ class Tracker(CopiesViews, ReadOnly):
             self._guard.limits = self._limits * self.robot.chain.unit
 
     def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None, *, q: Any = None) -> Step:
-        """Take a step to where the tip should be dt [s] from now; return a Step.
+        """Take a step towards the pose that the tip should have dt [s] from now; return a Step, which holds the command.
 
         Args:
             target: T_base_tip (4, 4), pin.SE3, position (3,) or AxisTarget; for several tips as in `ik.Solver`; always
@@ -226,7 +226,7 @@ class Tracker(CopiesViews, ReadOnly):
             lag = observer.take(read_measured(self.robot, q), dt, self.resync, self._limits) / self.resync
             if resynced := observer.confirmed:
                 self._begin(observer.far * self._units[0], np.zeros(self.robot.n), jumped=True)
-        if not self._late:  # Only the first step assigns: an assignment to a sealed object takes half a microsecond.
+        if not self._late:  # Only the first step assigns, as assigning to a sealed object takes half a microsecond.
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
@@ -272,7 +272,7 @@ class Tracker(CopiesViews, ReadOnly):
         goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
         if guard and goes:
             guard.late = late
-            guard.rows(q, rate, h)  # Only its side effect is needed: it notices obstacles that were added or moved.
+            guard.rows(q, rate, h)  # Its result is not needed, but it notices obstacles that were added or moved.
             next_q, next_rate = self._carried.motion * self._units
             goes = guard.allows(q, rate, next_q, next_rate, h)
             if not goes:
@@ -284,7 +284,7 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(START.ready)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= BIT.recovering  # Other limits are not reported: a joint move uses them fully.
+        self._code &= BIT.recovering  # Other limits are not reported, because a joint move makes full use of them.
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
@@ -313,7 +313,7 @@ class Tracker(CopiesViews, ReadOnly):
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
-        """Get ready for a target of kind KIND.pose or KIND.position per tip. Raises InvalidOption for slack in mode clip."""
+        """Prepare for targets of these kinds, KIND.pose or KIND.position for each tip. Raises InvalidOption: slack with "clip"."""
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)
@@ -333,7 +333,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:
-        """Return a copy of all that a step takes over from the one before (`Carried`), as one flat array."""
+        """Return a copy of the tracker's whole state between steps (`Carried`), as one flat array, see `put_back`."""
         return self._carried.block.copy()
 
     def put_back(self, kept: np.ndarray) -> None:
@@ -345,7 +345,7 @@ class Tracker(CopiesViews, ReadOnly):
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
         """Take as many steps of h [s] towards the targets in `samples` as `out` has room for; return how many were taken."""
-        # Gains chosen for the length of each single step would make method ca oscillate where step lengths differ.
+        # Gains that are chosen anew for every step's length would make method ca oscillate where step lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
@@ -371,7 +371,7 @@ class Tracker(CopiesViews, ReadOnly):
         return self.secondary.each_step or self._guard is not None
 
     def take(self, samples: Samples, h: float, out: Record, *, brake: bool = False, **how: Any) -> int:
-        """Take steps as `run` does; beside obstacles a single one, or brake if it could end in a contact. Return how many."""
+        """Take steps as `run` does; near obstacles one step, or brake if it could end in a contact. Return how many were taken."""
         guard, unit = self._guard, self.robot.chain.unit
         if guard is None:
             return self.run(samples, h, out, brake=brake, **how)

@@ -25,9 +25,10 @@ from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
-# [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared; set by hand
+# [rad/s or arm reaches/s] speed assumed for a joint without a speed limit where joints are compared; set by hand
 UNLIMITED = 1.0
-UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
+# an empty motion (times, points, rates), with which `travel` moves straight to the goal
+UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
 
 
 @compiled
@@ -45,32 +46,36 @@ class LimitBits(NamedTuple):
 
 @compiled
 class LimitMargins(NamedTuple):
-    """Margins to limits: for rounding, for corrections, and for joints that return from outside their position limits."""
+    """Margins to joint limits: for rounding, for corrections, and for joints that return from outside their position limits."""
 
     rounding: float = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
     spare: float = 1e-13  # share of the distance to a limit that is kept for the rounding of some hundred braking steps
-    # largest speed back inside, as a share of the speed limit or, if less, of 1 rad/s (1 arm reach/s)
+    # largest speed of a joint that returns into its position limits, as a share of its speed limit or, if less, of 1 rad/s (1 arm
+    # reach/s)
     inwards: float = 0.1
-    # [rad or arm reaches] a joint that misses a viable state by more than this, which exceeds rounding, counts as recovering
+    # [rad or arm reaches] A joint that cannot stop inside its limits, by more than this, counts as recovering; rounding is smaller.
     noise: float = 1e-12
-    held_back: float = 0.1  # share of the acceleration limit kept for corrections of a given motion; set by hand
+    # share of the acceleration limit that is kept for correcting deviations from a planned motion; set by hand
+    held_back: float = 0.1
 
 
 @compiled
 class OscillationThresholds(NamedTuple):
     """Thresholds by which a joint counts as oscillating, and limits on the acceleration of such a joint.
 
-    Without calming 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
+    Without these limits, 89 of 198 random target streams made joints chatter (scripts/benchmarks/servo_random.py).
     """
 
-    slow: float = 0.05  # Only motions faster than this share of the speed limit count.
+    slow: float = 0.05  # Only motions faster than this share of the speed limit count as part of an oscillation.
     reversals: float = 2.0  # number of consecutive reversals after which a joint counts as oscillating
-    window: float = 0.05  # [s] longest time between two of these reversals
-    hold: float = 0.1  # [s] without a reversal, after which a joint no longer counts as oscillating
-    lasting: float = 0.2  # [s] for which oscillating joints are slowed after a limit or singular pose hindered them
+    window: float = 0.05  # [s] longest time between two such reversals, one after the other
+    hold: float = 0.1  # [s] time without a reversal after which a joint no longer counts as oscillating
+    # [s] time for which oscillating joints are slowed after a limit or a singular pose has hindered them
+    lasting: float = 0.2
     # [1/s] An oscillating joint may gain speed at no more than this factor times its speed limit, plus `growth` times its speed.
     gain: float = 0.75
-    growth: float = 10.0  # [1/s] factor of a joint's present speed in the bound on how fast it may gain speed
+    # [1/s] factor on the present speed of an oscillating joint in the bound on how fast it may gain speed
+    growth: float = 10.0
 
 
 BIT, MARGIN, CALMING = LimitBits(), LimitMargins(), OscillationThresholds()
@@ -78,7 +83,7 @@ BIT, MARGIN, CALMING = LimitBits(), LimitMargins(), OscillationThresholds()
 
 @compiled
 class RateBox(NamedTuple):
-    """Bounds on the next rate of each joint, arrays (n,), and what sets them."""
+    """Bounds on the next rate of each joint, and which limits set them; arrays (n,)."""
 
     floor: Array  # lowest next rates
     roof: Array  # highest next rates
@@ -88,7 +93,7 @@ class RateBox(NamedTuple):
 
 @inline
 def box_of(s):
-    """Return the bounds on the joint rates as a `RateBox`, whose arrays are those of s, the scratch arrays of a step."""
+    """Return the bounds on the joint rates as a `RateBox`; its arrays are part of s, the scratch arrays of a step (`Bench`)."""
     return RateBox(s.floor, s.roof, s.why_low, s.why_top)
 
 
@@ -115,7 +120,7 @@ def approach(distance, v, gamma, h, a, late):
     """Return the highest next rate after which a joint can still stop within `distance`.
 
     v: present rate towards the end of that distance; gamma: weight of the next rate in a step; h [s]: this step; a: deceleration;
-    late [s]: longest later step. The result is negative if the joint cannot stop within the distance even now.
+    late [s]: longest later step. The result is negative if the joint can no longer stop within the distance.
     """
     if distance == np.inf:
         return np.inf
@@ -134,7 +139,7 @@ def approach(distance, v, gamma, h, a, late):
 
 @dual
 def way_to(limit, q, sign):
-    """Return a joint's distance from q to a limit (sign 1: upper, -1: lower), less a margin for rounding.
+    """Return a joint's distance from q to a position limit (sign 1: upper, -1: lower), less a margin for rounding.
 
     The distance is negative if q is outside the limit.
     """
@@ -148,10 +153,11 @@ def way_to(limit, q, sign):
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
-    """Return a joint's highest next rate towards a limit at the distance `way`; v: present rate in that direction.
+    """Return the highest next rate at which a joint can still stop at a position limit at the distance `way`.
 
-    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed
-    limit, and so that it can stop at the limit.
+    v: its present rate towards the limit; speed: its speed limit; gamma, h, a, late: as in `approach`. Outside the limit (way < 0)
+    the result is not positive: the joint returns, at no more than the share MARGIN.inwards of its speed limit, and so that it can
+    stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
@@ -192,7 +198,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # Rounding alone can also leave no rate between the bounds; inside the limits this does not count as recovering.
+        # Rounding alone can also leave no rate between the bounds; a joint inside its limits then does not count as recovering.
         why = BIT.position | BIT.acceleration | (BIT.recovering if outside or miss * h > MARGIN.noise else 0)
         return w, w, why, why
     return low, top, why_low, why_top
@@ -202,7 +208,8 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 def boxes(q, rate, limits, gamma, h, late, box):
     """Write the bounds on the next rate of every joint to `box` (RateBox).
 
-    q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration.
+    q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration; gamma: weight of the next rate in the
+    motion; h, late [s]: this step and the longest later one.
     """
     for i in range(q.shape[0]):
         lower, upper, speed, a = limits[0, i], limits[1, i], limits[2, i], limits[3, i]
@@ -273,7 +280,7 @@ def clip(x, box, code):
 
 @dual
 def move(q, rate, x, gamma, h):
-    """Take one step of h [s]: joint values q and rates rate (n,) change in place as the next rates x (n,) with weight gamma say."""
+    """Take one step of h [s]: update q and rate (n,) in place for the next rates x (n,), whose weight in the motion is gamma."""
     for i in range(q.shape[0]):
         q[i] += h * x[i] if gamma == 1.0 else h * ((1.0 - gamma) * rate[i] + gamma * x[i])
         rate[i] = x[i]
@@ -318,7 +325,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
 
 @shared
 def time_left(q, goal, limits):
-    """Return the least time [s] in which all joints move from q to goal (n,) at full speed, whatever their accelerations."""
+    """Return the least time [s] in which all joints can move from q to goal (n,) at full speed, without acceleration limits."""
     left = 0.0
     for j in range(q.shape[0]):
         speed = limits[LIMIT.speed, j]
@@ -330,7 +337,8 @@ def time_left(q, goal, limits):
 def go_straight(q, rate, goal, gamma, h, limits, x):
     """Write to x (n,) the rates that move the joints to goal along a straight line in joint space.
 
-    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the goal.
+    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the goal. gamma:
+    weight of the new rate in a step of h [s]; limits (4, n): lower, upper, speed, acceleration.
     """
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
@@ -365,7 +373,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
 
 @cached_small
 def brake(first, gamma, h, late, limits, Q, R, L):
-    """Write the path of braking to rest after row `first`; return the index of the row in which all joints rest (at least 1).
+    """Write the joint motion while braking to rest, from row `first` on; return the row in which all joints rest (at least 1).
 
     Q, R (K, n): joint values and rates at steps of h [s], in the units of the limits, given up to row `first`; the rows after it
     are written. L (K, n) receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too

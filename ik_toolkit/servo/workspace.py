@@ -36,15 +36,15 @@ class State(NamedTuple):
     start: int  # how the next step begins: START.with_target, START.given, START.running or START.ready
     period: int  # length of the last step [s]
     stop: int  # why the loop ended, a code of `loop.STOP`
-    # at a singular pose 1 + the time [s] for which the target still counts as out of reach; after such a pose -1, before the first
-    # 0
+    # 0 before the first singular pose; at a singular pose 1 + the time [s] for which the target still counts as out of reach; -1
+    # after it
     near: int
     share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
     lowest: int  # value below which the entry `share` must not be lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    # time [s] in which the weighted error did not fall; outside a damped descent only the time in which joints are hindered counts
+    # time [s] in which the weighted error has not fallen; outside a damped descent, only while something hinders the joints
     stalled: int
-    turned: int  # joint reversals while there is no damped descent; the count fades with time
+    turned: int  # number of joint reversals outside a damped descent; it is lowered as time goes by
     free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
     pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
 
@@ -54,17 +54,17 @@ STATE = State._make(range(len(State._fields)))
 
 @compiled
 class Settings(NamedTuple):
-    """Inputs of a tracker that stay the same during a call, for n coordinates and m errors."""
+    """Inputs of a tracker that stay the same while the compiled loop runs, for n joints and m errors."""
 
     block: Array
     law: Array  # the method and its gains, in the order of the fields of `Law`
     # (4, m) weights of errors; slack (dead band) in arm reaches or rad, and in m or rad; weight of its level relative to level 0
     counts: Array
-    limits: Array  # (4, n) rows lower, upper, speed, acceleration
+    limits: Array  # (4, n) joint limits: rows lower, upper, speed, acceleration
     wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
     lines: Array  # (rows, n) collision inequalities lines x <= level on joint rates; the first law.rows apply
-    level: Array  # (rows,) right sides of these inequalities
-    measured: Array  # (n,) measured joints, used if law.measured is 1
+    level: Array  # (rows,) right sides of the collision inequalities
+    measured: Array  # (n,) measured joint values, used if the entry `measured` of law is 1
 
     def __reduce__(self) -> tuple:
         return settings_of, (self.block,)
@@ -79,10 +79,10 @@ class Carried(NamedTuple):
     memory: Array  # internal state of the tracking method or of the solver's iteration
     swings: Array  # (3, n) reversals of each joint, to detect oscillation (see `viability.watch`)
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
-    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros before the first one
     state: Array  # numbers kept between steps; STATE holds the indices
-    active: Array  # (n,) int8: joints in the active set of `constrain`
-    kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
+    active: Array  # (n,) int8: joints in the active set of the last step, see `StepTaken`
+    kept: Array  # (rows,) int8: inequalities in the active set of the last step
 
     def __reduce__(self) -> tuple:
         return carried_of, (self.block,)
@@ -103,7 +103,7 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """Results of N - 1 steps: the state at N samples. With N = 1 no step is taken and the present state is stored."""
+    """Results of N - 1 steps: joints and errors at N samples. With N = 1 no step is taken and the present ones are stored."""
 
     block: Array
     Q: Array  # (N, n) joint values
@@ -119,13 +119,13 @@ class Record(NamedTuple):
 
 @shared
 def settings_shapes(n, m, rows):
-    """Return the shapes of the arrays in Settings for n coordinates, m errors and `rows` inequalities."""
+    """Return the shapes of the arrays in Settings (inputs of a tracker) for n joints, m errors and `rows` inequalities."""
     return len(PLACE), (4, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
 def carried_shapes(n, memory, rows, m):
-    """Return the shapes of the arrays in Carried; int8 arrays are counted in floats of eight bytes.
+    """Return the shapes of the arrays in Carried (state of a tracker between steps); int8 arrays are counted in floats of 8 bytes.
 
     n: number of joints; memory: numbers that the method keeps; rows: inequalities; m: errors.
     """
@@ -146,7 +146,10 @@ def record_shapes(N, n, m):
 
 @shared
 def head(block):
-    """Return the first three sizes that a block (K,) stores at its beginning; write there that no part of it is divided yet."""
+    """Return the three sizes that stand at the beginning of a block (K,), and mark the block as not yet divided into arrays.
+
+    A block is a flat array that holds all arrays of a record, after their sizes.
+    """
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
@@ -197,17 +200,17 @@ def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
 
 
 def new_settings(n: int, m: int, rows: int) -> Settings:
-    """Make Settings for n coordinates, m errors and at most `rows` inequalities."""
+    """Make Settings (inputs of a tracker), all zeros, for n joints, m errors and at most `rows` inequalities."""
     return _made(settings_of, settings_shapes(n, m, rows), n, m, rows)
 
 
 def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
-    """Allocate a Carried state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
+    """Make room for a tracker's state between steps: n joints, m errors, `memory` numbers of its method, `rows` inequalities."""
     return _made(carried_of, carried_shapes(n, memory, rows, m), n, memory, rows, m)
 
 
 def new_samples(N: int, F: int) -> Samples:
-    """Make N samples of targets for F tips, all zeros."""
+    """Make room for the targets of F tips at N sample times, all zeros."""
     return _made(samples_of, samples_shapes(N, F), N, F)
 
 
@@ -219,7 +222,7 @@ def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Allocate a Record for N - 1 steps of n joints and m errors."""
+    """Make room for the results of N - 1 steps of n joints and m errors, all zeros."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
@@ -231,9 +234,9 @@ class Bench(NamedTuple):
     why_top: Array  # (n,) uint8: limit bits of the upper rate bounds
     e: Array  # (m,) error: target now minus tip now
     ahead: Array  # (m,) target at the end of the step minus tip now
-    f: Array  # (m,) twist of the target, in the coordinates of the error
+    f: Array  # (m,) twist of the target, in the axes of the error
     a: Array  # (m,) acceleration of the target
-    ask: Array  # (m,) task rate asked of the joints
+    ask: Array  # (m,) rate asked for in each row of the task
     bias: Array  # (m,) product of dJ/dt with joint rates
     weight: Array  # (m,) weights of the errors; 1 (or 0) once the errors have been multiplied by them
     heavy: Array  # (m,) largest weight at the priority level of each error; the level's own weight once errors are weighted
@@ -242,8 +245,8 @@ class Bench(NamedTuple):
     G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
     H: Array  # (max(n, m), max(n, m)) factor for corrections that are damped because limits block them, see `laws.ease`
     J: Array  # (n, m) transposed Jacobian of the task
-    W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
-    V: Array  # (m, n) joint directions of the singular directions, one a row
+    W: Array  # (m, n) rows sigma_k v_k: singular value times joint direction, see singular_step.py
+    V: Array  # (m, n) joint direction of each singular direction, one a row
     free: Array  # (n, m) Jacobian without the joints that limits stop, see `damped_descent.stop_in_time`
     U: Array  # (m, m) task directions u_k of the singular values, one a row
     sv: Array  # (m,) singular values sigma_k
@@ -263,16 +266,16 @@ class Bench(NamedTuple):
     before: Array  # (n,) rates before the step
     at: Array  # (n,) joint values at which error and Jacobian are evaluated
     size: Array  # (n,) speed limit of each joint, or UNLIMITED
-    even: Array  # (n,) ones, in place of `size` in a damped least-squares step of a stuck arm
+    even: Array  # (n,) ones, used in place of `size` in a damped least-squares step of a stuck arm
     floor: Array  # (n,) lower rate bounds
     roof: Array  # (n,) upper rate bounds
-    planes: Array  # (rows, n) inequalities planes x <= edges, including those of slack
+    planes: Array  # (rows, n) inequalities planes x <= edges on the joint rates x: of collisions and of slack
     edges: Array  # (rows,) right sides of the inequalities
 
 
 @inline
 def bench_space(n, m, rows):
-    """Return how many floats are enough for the scratch arrays of a step, `Bench`; the matrices need less than 3 (n + m)^2."""
+    """Return how many floats are enough for the scratch arrays of a step (`Bench`), whose matrices take less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
