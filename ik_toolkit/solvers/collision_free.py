@@ -14,7 +14,7 @@ from .options import AVOID, PLAIN, avoided
 from .status import Status
 
 STARTS = 256  # number of random starts tried for a solution free of contact, unless the option `restarts` gives another
-ROUND = 16  # number of these starts that are solved together in one call of the compiled search
+ROUND = 16  # number of random starts that are solved together in one call of the compiled search
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 

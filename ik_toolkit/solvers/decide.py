@@ -50,13 +50,14 @@ class DecisionMargins(NamedTuple):
     # Two complex solutions that are at most gap * sqrt(e) from being real may mean that a pose within e of the target has a real
     # solution.
     gap: float = 30.0
-    # [rad] an answer at most this much farther from q0 than the nearest listed solution counts as the nearest solution
+    # [rad] an answer at most `same` farther from q0 than the nearest listed solution counts as the nearest solution
     same: float = 1e-6
     # Where a solution breaks a limit by d, configurations inside that limit miss the target by at least about d times a measured
-    # factor (`EliminationAnswer.gain`). That product must exceed e by this factor.
+    # factor (`EliminationAnswer.gain`). Only if that product exceeds e by the factor `gain` does the solution count as beyond its
+    # limits.
     gain: float = 10.0
-    # If a configuration has both errors below this many tolerances, nothing is decided: a configuration nearby may trade one error
-    # for the other and meet both tolerances. This happened at one of 72,000 targets.
+    # If a configuration has both errors below `beside` times their tolerances, nothing is decided: a configuration nearby may trade
+    # one error for the other and meet both tolerances. This happened at one of 72,000 targets.
     beside: float = 3.0
     # With a tolerance above `loosest` the elimination is not asked: from 5 mm on, poses within the tolerances were found although
     # the exact pose had no solution.

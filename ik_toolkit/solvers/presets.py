@@ -17,7 +17,7 @@ from .options import make_options
 from .registry import make_rule
 
 FOLDER = Path(__file__).with_name("presets")
-LARGEST = 16_000_000  # Limit on the bytes of a preset file.
+LARGEST = 16_000_000  # largest size of a preset file that is read [bytes]
 
 
 def list_presets(solver: str) -> list[str]:
@@ -64,7 +64,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 
 
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
-    """Make a solver of a registry row from a preset, with some parameters (`values`) changed. Raises InvalidOption."""
+    """Make a solver with the parameters and options of a preset, some parameters (`values`) changed. Raises InvalidOption."""
     cls = row.load()
     made = make_rule(row, values or {})  # raises InvalidOption for a parameter that does not exist
     if cls.preset is None:
@@ -87,7 +87,7 @@ def write_preset(
 ) -> None:
     """Write the parameters and options of a solver to a preset file, for `--preset FILE` and `preset(FILE)`.
 
-    about: further entries at its top, such as the robot; numbers are written without loss.
+    about: further entries at the top of the file, such as the robot's name. Numbers are written with all their digits.
     """
     lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
     for title, table in (("parameters", parameters), ("options", options)):

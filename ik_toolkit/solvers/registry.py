@@ -26,8 +26,8 @@ from typing import Any
 from ..errors import InvalidOption, UnknownSolver, near_match, nearest
 from .rows import CLOSED_FORM, ROWS, Row
 
-GROUP = "ik_toolkit.solvers"  # group of the entry points by which packages offer solvers
-# names have no commas or colons, which commands use in lists and in FILE:CLASS
+GROUP = "ik_toolkit.solvers"  # name of the entry-point group in which other installed packages declare solvers
+# Solver names may not contain commas or colons: commands read commas as separators of a list, and a colon as FILE:CLASS.
 NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")
 LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
@@ -101,7 +101,7 @@ def find_row(solver: Any) -> Row:
             raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
         return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    if hasattr(cls, "loop"):  # the attribute `loop` is set by protocol.rule or protocol.closed_form
+    if hasattr(cls, "loop"):  # Every solver class has `loop`, set by its decorator.
         for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
             if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
                 return row
@@ -123,7 +123,7 @@ def _own(cls: type) -> Row:
 
 
 def solvers_with(parameter: str, known: Iterable[str]) -> str:
-    """Return a sentence that names our solvers with this parameter, to end a message with, or ''.
+    """Return a sentence that names this package's solvers with a parameter of this name, for the end of an error message; or ''.
 
     If no solver has it, and none of the valid names `known` is similar, the most similar parameter of any solver is taken instead.
     """
