@@ -37,8 +37,7 @@ class CertainLists(NamedTuple):
     """The solutions of N poses as arrays, certified to be complete; `solutions(k)` makes the `Solutions` object of one pose."""
 
     plan: Plan
-    # whether the lists can be returned as they are, because no test for collisions or constraints and no check by Pinocchio is
-    # asked for
+    # whether the lists can be returned as they are: no check of collisions, constraints or by Pinocchio is asked for
     final: bool
     # (M, 3 + n) a row for each solution: position error [m], rotation error [rad], distance from q0, q [rad]
     table: np.ndarray
@@ -81,8 +80,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         return _find(solver, target, q0, starts, count, all_turns, made)
     each, lists = [], []
     if plan:
-        # C-contiguous and writable, because numba would compile again for any other array
-        target = np.require(target, requirements=["C", "W"])
+        target = np.require(target, requirements=["C", "W"])  # numba would compile again for any other layout
     for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
         some = target[a : a + 1024]
         made = _certain(plan, some, q0, count) if plan else None
@@ -351,10 +349,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Return samples of the self-motions of a seven-joint arm at T (1, 4, 4) as Solutions, and a text on what was searched.
-
-    The first is None if no self-motion was found.
-    """
+    """Return samples of a seven-joint arm's self-motions at T (1, 4, 4) as Solutions, or None, and a text on what was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
