@@ -41,7 +41,7 @@ def solve_parts(
     finish: bool = True,
     **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
-    """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
+    """Solve a batch and yield the BatchResults of its parts in order, for more targets than fit in memory.
 
     With `finish`, the q of a failure is moved to the configuration closest to its target, which takes longer than a few attempts,
     and LIMIT_BLOCKED is tested. Without `finish`, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a
@@ -147,7 +147,8 @@ def _parts(plan: Plan, chunks: Iterator[Block], starts: np.ndarray | None, size:
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
-            # Parts are copies, because the caller's buffer may be refilled while the parts wait to be solved.
+            # The arrays of an iterator are copied, because the caller may refill the same array while earlier targets wait to be
+            # solved.
             T = chunk.poses(a, a + size)
             doubt_far(plan.robot, T)
             start = plan.home if starts is None else starts
@@ -213,7 +214,7 @@ def solve_batch(
     try:
         for part in _wrapped(tables, kinds, plan, notice):
             end = done + len(part)
-            if end > len(table):  # The table grows in place, without a second copy.
+            if end > len(table):  # The array is enlarged in place, so that memory never holds it twice.
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, plan.width), refcheck=False)
             table[done:end] = part.table
@@ -226,7 +227,8 @@ def solve_batch(
             raise
         made = BatchResult(table[:done], kinds, plan, joined_failures(lost), notice)
         raise BatchInterrupted(made, f"after {how_many(done, 'target')}") from None
-    # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
+    # After a failed check by Pinocchio, the result keeps the rows up to the one that failed. All later rows are emptied, so that
+    # the result does not depend on how many of them had been solved by then.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
         table.resize((total if total is not None else done + len(part), plan.width), refcheck=False)
