@@ -31,11 +31,11 @@ from .geometry import (
 from .nearest import choose
 from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
 
-STEPS = 8  # number of Newton steps that correct a branch if axes are only nearly parallel
+STEPS = 8  # number of Newton steps that correct a solution if the two axes are only nearly parallel
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Return whether, and how exactly, a chain is two revolute joints with parallel axes, as a Fit."""
+    """Return a Fit: whether, and how exactly, a chain consists of two revolute joints with parallel axes."""
     screws = read_revolute(chain, 2)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -96,7 +96,9 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 @cached
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
+    """Solve targets with the closed form: of the solutions (branches) inside the limits, the one nearest the start is the answer.
+
+    If there is none, the row gets the configuration whose tip is nearest the target.
 
     The arguments are those of `protocol.ClosedForm.loop`.
     """
