@@ -81,9 +81,8 @@ def finish_failures(
 ) -> None:
     """Test whether limits caused the failures of a batch, and move each q closer to its target; changes result rows in place.
 
-    Only the rows (m, width) with a status in `ended` are changed, as `_finish` says.
-
-    T (m, 4, 4), for several tips (m, F, 4, 4): targets; kinds, start (1 or m, n), given: as for `Plan.run`.
+    Only the rows (m, width) with a status in `ended` are changed, as `_finish` says. T (m, 4, 4), for several tips (m, F, 4, 4):
+    targets; kinds, start (1 or m, n), given: as for `Plan.run`.
     """
     these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
     if len(these):

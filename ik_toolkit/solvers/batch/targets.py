@@ -130,9 +130,8 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 def known(targets: Any, base: str = "") -> Any:
     """Convert targets in any form that `solve_batch` takes to one array, or for several tips a dict of arrays by tip.
 
-    They are given in the frame `base`. Returns None for an iterator, whose targets are read later.
-
-    Raises InvalidTarget for what is no target.
+    They are given in the frame `base`. Returns None for an iterator, whose targets are read later. Raises InvalidTarget for what
+    is no target.
     """
     if isinstance(targets, str | bytes | set | frozenset):  # a set of targets is refused, because it has no order
         raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")

@@ -89,9 +89,8 @@ def recognise_six_revolute(chain: Chain) -> Fit:
 def forms_of(arm: bytes) -> np.ndarray:
     """Return the ways in which the elimination can solve an arm, best first; the result is cached.
 
-    Each is an ordering of the closed loop that the six joints and the target form (see `make_forms`).
-
-    arm: its array (52,) from `make_arm`, as bytes.
+    Each is an ordering of the closed loop that the six joints and the target form (see `make_forms`). arm: its array (52,) from
+    `make_arm`, as bytes.
     """
     return make_forms(np.frombuffer(arm).copy())  # a copy, because for a read-only array numba would compile again
 

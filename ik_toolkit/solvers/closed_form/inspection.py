@@ -166,9 +166,8 @@ def best_branch(p, P, box, near, allowed, scratch, best):
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Solve targets with the closed form: of the solutions (branches) inside the limits, the one nearest the start is the answer.
 
-    If there is none, the row gets the configuration that comes nearest, and the status says why.
-
-    The arguments are those of `protocol.ClosedForm.loop`.
+    If there is none, the row gets the configuration that comes nearest, and the status says why. The arguments are those of
+    `protocol.ClosedForm.loop`.
     """
     n = seeds.shape[1]
     p = opt[SIZE.weights + n :]

@@ -94,9 +94,8 @@ def worked_out(p, T, d, box, head, table):
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
     """Return the formulas and solutions (branches) of the pose T (4, 4), to explain a solve, at one value of the prismatic joint.
 
-    That is the value given to the solver or, without one, the value in the answer box[2].
-
-    p: the arm's parameters (`lift_arm`); box (4, n): lower and upper limits, the answer to be explained [rad or m], weights.
+    That is the value given to the solver or, without one, the value in the answer box[2]. p: the arm's parameters (`lift_arm`);
+    box (4, n): lower and upper limits, the answer to be explained [rad or m], weights.
     """
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]

@@ -47,9 +47,8 @@ LEVEL = 1e-9
 def wrist_pose(p, T, P):
     """Convert a target pose T (4, 4) of the tip to the pose P (12,) of the wrist in the axes of the shoulder at lift 0.
 
-    The lift is the value of the prismatic joint that carries the arm.
-
-    P has the rotation by rows, then the point [m]; p: the arm's parameters.
+    The lift is the value of the prismatic joint that carries the arm. P has the rotation by rows, then the point [m]; p: the
+    arm's parameters.
     """
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
@@ -224,10 +223,8 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 def at_turn(p, P, k, span, turn, box, near, row, q):
     """Compute solution (branch) k, 0 to 7, of the wrist pose P at a lift in `span` [m]; return its limit excess and distance.
 
-    q (n,) receives the joint values.
-
-    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval. The results are those of
-    `joint_values`; p, box, near: as for `pick`; row (6,): scratch.
+    q (n,) receives the joint values. turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
+    The results are those of `joint_values`; p, box, near: as for `pick`; row (6,): scratch.
     """
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
@@ -238,11 +235,10 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
     """Search for narrow ranges of the lift in which some solution (branch) is inside all limits; return the least limit excess.
 
-    spans: the feasible intervals of the lift [m], one a row.
-
-    In such a range the branch's largest excess over a limit, as a function of the lift, has a minimum. Each minimum is approached
-    by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of least excess. Other arguments
-    as for `pick`; broken (WINDOWS,), row (6,) and q (n,) are scratch.
+    spans: the feasible intervals of the lift [m], one a row. In such a range the branch's largest excess over a limit, as a
+    function of the lift, has a minimum. Each minimum is approached by golden section until the excess is 0 or no longer falls.
+    Fills best (n,) with the branch of least excess. Other arguments as for `pick`; broken (WINDOWS,), row (6,) and q (n,) are
+    scratch.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -347,11 +343,9 @@ def shoulder_on_axes(p, P, d, near):
 def pick_level(p, P, d, free, box, near, row, q, best):
     """Find the solution with axes 1 and 4 parallel that exceeds the limits least; return by how much it exceeds them.
 
-    It is written to best (n,).
-
-    Of several, the one nearest to the reference is taken. The excess is infinite if no such configuration reaches the wrist pose
-    P. If `free`, each configuration takes the lift that it needs, otherwise lift d [m]. Other arguments as for `pick`; row (6,):
-    scratch.
+    It is written to best (n,). Of several, the one nearest to the reference is taken. The excess is infinite if no such
+    configuration reaches the wrist pose P. If `free`, each configuration takes the lift that it needs, otherwise lift d [m].
+    Other arguments as for `pick`; row (6,): scratch.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

@@ -99,11 +99,10 @@ def looks(p, T, d, Q, marks):
 def level_family(p, T, box, d, free, samples, spans, out, broken):
     """Find the ranges [rad] in which joint 1 can turn, with joint 4 turning back, because their axes are parallel.
 
-    The ranges are written to spans (S, 2); their number is returned.
-
-    `samples` configurations spread evenly over each range are written to out (S samples, n), and by how much they exceed limits to
-    broken (S samples,). If `free`, each configuration has the value of the prismatic joint that it needs, otherwise d [m]. p: the
-    arm's parameters (`lift_arm`); T (4, 4): the pose; box (4, n): see `geometry.copy_limits`.
+    The ranges are written to spans (S, 2); their number is returned. `samples` configurations spread evenly over each range are
+    written to out (S samples, n), and by how much they exceed limits to broken (S samples,). If `free`, each configuration has
+    the value of the prismatic joint that it needs, otherwise d [m]. p: the arm's parameters (`lift_arm`); T (4, 4): the pose; box
+    (4, n): see `geometry.copy_limits`.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)

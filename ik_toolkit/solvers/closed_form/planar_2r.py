@@ -98,9 +98,8 @@ def nearest_on_limits(p, x, y, box, q, best):
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Solve targets with the closed form: of the solutions (branches) inside the limits, the one nearest the start is the answer.
 
-    If there is none, the row gets the configuration whose tip is nearest the target.
-
-    The arguments are those of `protocol.ClosedForm.loop`.
+    If there is none, the row gets the configuration whose tip is nearest the target. The arguments are those of
+    `protocol.ClosedForm.loop`.
     """
     n = 2
     p = opt[SIZE.weights + n :]

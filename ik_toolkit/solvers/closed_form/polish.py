@@ -98,9 +98,7 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 def near_a_row(table, count, q):
     """Return whether q (n,) is already listed: whether one of the first `count` rows of a table differs by less than DISTINCT.
 
-    DISTINCT bounds the difference of every joint [rad].
-
-    table (K, 3 + n): rows as `list_with` writes them.
+    DISTINCT bounds the difference of every joint [rad]. table (K, 3 + n): rows as `list_with` writes them.
     """
     for row in range(count):
         apart = 0.0

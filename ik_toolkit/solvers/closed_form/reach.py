@@ -20,7 +20,7 @@ ON_AXIS = (
     # An angle about an axis is free if the point that it turns is nearer to the axis than this share of the link lengths.
     1e-12
 )
-# a point farther out than the reach by less than this share of the link lengths still counts as in reach (rounding)
+# a point farther out than the reach by less than EDGE times the link lengths still counts as in reach (rounding)
 EDGE = 1e-13
 # Indices in the array p of a planar arm's parameters, after the transform from the base to the arm's plane (12): both link lengths
 # and the height of the plane [m]. From ANGLES on, each joint has a sign and an offset: theta = sign q + offset. NEARLY tells
@@ -58,10 +58,8 @@ def planar_margin(x, y, l1, l2):
 def planar_branches(x, y, l1, l2, near, sols):
     """Fill sols (2, 2) with the angles theta_1, theta_2 that bring two links to (x, y); return the number of solutions, 1 or 2.
 
-    A point out of reach is replaced by the nearest one in reach.
-
-    l1, l2: link lengths [m]. theta_2 > 0 comes first. Where the links fold back onto the base, theta_1 is free and taken from
-    `near`.
+    A point out of reach is replaced by the nearest one in reach. l1, l2: link lengths [m]. theta_2 > 0 comes first. Where the
+    links fold back onto the base, theta_1 is free and taken from `near`.
     """
     r = math.hypot(x, y)
     size = l1 + l2
@@ -281,9 +279,8 @@ def inspection_branches(P, d, a4, a6, near, sols):
 def inspection_branch(P, d, a4, a6, near, k, row):
     """Fill row (6,) with theta_1, theta_3 to theta_7 of solution (branch) k, 0 to 7, of a wrist pose at lift d [m].
 
-    For one k the angles vary smoothly with d.
-
-    Bits 0, 1 and 2 of k choose shoulder, wrist and elbow. Other arguments as for `inspection_branches`.
+    For one k the angles vary smoothly with d. Bits 0, 1 and 2 of k choose shoulder, wrist and elbow. Other arguments as for
+    `inspection_branches`.
     """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)

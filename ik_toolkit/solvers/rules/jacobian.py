@@ -166,7 +166,7 @@ class Inverse(NamedTuple):
         return self.shorten(p, e) if self.trials > 0.0 else 0
 
     def shorten(self, p, e):
-        """Halve the step s.dq until it lowers the squared error e.ee inside the limits; if no such step is found, it becomes 0.
+        """Line search: halve the step s.dq until it lowers the squared error e.ee inside the limits; set it to 0 if none does.
 
         Returns WAITING if the evaluations run out first, else 0. s = p.desk is the scratch of the problem p; e: the errors at s.q.
         """
