@@ -21,14 +21,12 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
-# For each system of units in which a preset may give its matrices: units of error per metre, and radians per unit of joint
-# increment.
+# For each system of units in which matrices may be given: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
 # The array `numbers` of the compiled step (`Maps`) begins with HEAD numbers: the number of states, the number of linear maps (B,
 # D), and two flags: whether there is a D, and whether each step chooses its map anew.
 HEAD = 4
-# While A and B are tuned, C is C_FIXED times the identity. Nothing is lost, because (A, B, C) and (TAT^-1, TB, CT^-1) are the same
-# solver for any T.
+# C is not tuned but C_FIXED times the identity, because (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver for any T.
 C_FIXED = -0.05
 SETTLED = 1e-13  # the state has settled if no component of it changes by more than this in a step
 
@@ -39,16 +37,14 @@ class MapDesign(NamedTuple):
     maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
-    # The Jacobian is averaged around each start: every joint varies by at most +- `share` of its range, and at most `radius` [rad,
-    # or length over the reach].
+    # The Jacobian is averaged around each start, every joint varying by +- `spread` of its range, but at most +- `radius` [rad].
     spread: float = 0.15
     radius: float = 0.3
-    # damping of the inverse of the averaged Jacobian; its columns are multiplied by the joint ranges before
-    damping: float = 0.1
-    # loop gain kappa at a start, for position targets: about the share of an error that a step removes; at 2 errors do not die out
-    position_gain: float = 0.9
-    # loop gain kappa at a start, for pose targets: about the share of an error that a step removes
-    pose_gain: float = 0.6
+    damping: float = 0.1  # damping of the inverse of the averaged Jacobian, its columns multiplied by the joint ranges
+    position_gain: float = (
+        0.9  # for position targets, the share of an error that a step removes, about; at 2 it diverges
+    )
+    pose_gain: float = 0.6  # for pose targets, the share of an error that a step removes, about
 
 
 DESIGN = MapDesign()
@@ -58,12 +54,12 @@ DESIGN = MapDesign()
 class Maps(NamedTuple):
     """The compiled step of Algorithm II, the state-space solver; a map is the pair of matrices (B, D) that belongs to one start.
 
-    Between steps, the array p.desk.x keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use
-    (counted from 1).
+    Between steps, p.desk.x keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use (from 1 on).
     """
 
-    # HEAD numbers; for each joint 1 / (2 pi) if its values count modulo 2 pi, else 0; A; C; then start, B and D of each map
-    numbers: Array
+    numbers: (
+        Array  # HEAD numbers; per joint 1 / (2 pi) if it counts modulo 2 pi, else 0; A; C; start, B and D of each map
+    )
 
     JACOBIAN = False
 
@@ -273,8 +269,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
     J[:, :3] /= chain.scale
-    # Orientation gets the same weight beside position as in the table of starts that other solvers use.
-    if not position_only:
+    if not position_only:  # with the weight of the orientation in the table of starts that other solvers use
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
     cell = np.zeros(len(Q), dtype=int)
@@ -315,8 +310,7 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
-    # Columns of the Jacobian are multiplied by the joint ranges, so that joints move in proportion to their range.
-    weight = np.minimum(width, 2.0 * chain.unit)
+    weight = np.minimum(width, 2.0 * chain.unit)  # With these weights, joints move in proportion to their range.
     W = J * weight
     inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
