@@ -13,12 +13,12 @@ from ..solvers.solve import require_robot
 from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
-CELLS = 40  # number of voxels along the reach; each 'volume' target is in a random voxel
-POOL = 200_000  # number of random configurations whose tips fill the voxels
+CELLS = 40  # number of voxels along the reach; the method 'volume' draws a random voxel for each target
+POOL = 200_000  # number of random configurations from whose tip positions the method 'volume' finds the voxels in reach
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
-    """Return the given tip, or a Robot's only one if `tip` is None.
+    """Return the tip to work with: the given one, or the only one of the robot if `tip` is None.
 
     Raises:
         InvalidOption: None is given, and the robot has several.
@@ -32,9 +32,9 @@ def one_tip(robot: Robot | Tree, tip: str | None) -> str:
 
 
 def fingerprint(robot: Robot | Tree, *parts: Any) -> str:
-    """Return a text that tells files of earlier runs apart: it differs for other joints, links or limits, and for other parts.
+    """Return a hash of a robot and further values, by which a program sees whether a file is from the same study.
 
-    parts: arrays, or values whose repr shows all they hold.
+    It differs for other joints, links or limits. parts: the further values, arrays or values whose repr shows all they hold.
     """
     digest = hashlib.sha256()
     for one in (robot.chain.rows, robot.chain.ends, robot.lower, robot.upper, *parts):

@@ -37,14 +37,12 @@ class MapDesign(NamedTuple):
     maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
-    # The Jacobian is averaged around each start, every joint varying by +- `spread` of its range, but at most +- `radius` [rad].
+    # The Jacobian is averaged around each start: joints vary by +- `spread` of their range, at most `radius` [rad, m over reach].
     spread: float = 0.15
     radius: float = 0.3
     damping: float = 0.1  # damping of the inverse of the averaged Jacobian, its columns multiplied by the joint ranges
-    position_gain: float = (
-        0.9  # for position targets, the share of an error that a step removes, about; at 2 it diverges
-    )
-    pose_gain: float = 0.6  # for pose targets, the share of an error that a step removes, about
+    position_gain: float = 0.9  # share of an error that a step removes, for position targets; diverges at 2
+    pose_gain: float = 0.6  # share of an error that a step removes, for pose targets
 
 
 DESIGN = MapDesign()
@@ -57,9 +55,8 @@ class Maps(NamedTuple):
     Between steps, p.desk.x keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use (from 1 on).
     """
 
-    numbers: (
-        Array  # HEAD numbers; per joint 1 / (2 pi) if it counts modulo 2 pi, else 0; A; C; start, B and D of each map
-    )
+    # HEAD numbers; for each joint 1 / (2 pi) if its values count modulo 2 pi, else 0; A; C; start, B and D of each map
+    numbers: Array
 
     JACOBIAN = False
 
