@@ -15,7 +15,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Largest size [bytes] of a message that a page may send. It only sends numbers and short texts, and messages are held in memory
 # until complete.
 LARGEST = 2**20
-# A request with two headers of one of these names is refused, because the checks might read one of them and the web server the
+# A request that has one of the headers ONCE twice is refused, because the checks might read one of them and the web server the
 # other.
 ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)

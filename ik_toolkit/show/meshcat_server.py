@@ -89,7 +89,7 @@ class Window:
         self._keep(self.transforms, path, np.array(T, dtype=float))
 
     def pose(self, path: str) -> np.ndarray:
-        """Return the pose (4, 4) [m] of a path in the world: the product of the poses of all paths above it and its own."""
+        """Return the world pose (4, 4) [m] of the object at a path: the product of the poses of all paths above it and its own."""
         words, T = path.split("/"), np.eye(4)
         for k in range(len(words)):
             T = T @ self.transforms.get("/".join(words[: k + 1]), np.eye(4))

@@ -48,7 +48,7 @@ class _Pencil:
         self.draw = ImageDraw.Draw(self.image)
 
     def blend(self, color: np.ndarray, cover: np.ndarray) -> None:
-        """Draw an image (H * W, 3) in 0..1 over the picture; its colours are already multiplied by its opacity `cover` (H * W,)."""
+        """Draw pixels over the picture: colours (H * W, 3) in 0..1, already multiplied by their opacity `cover` (H * W,)."""
         data = np.array(self.image).reshape(-1, 3)
         at = np.flatnonzero(cover)
         data[at] = np.round(255 * color[at] + (1.0 - cover[at, None]) * data[at])

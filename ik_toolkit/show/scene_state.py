@@ -14,7 +14,7 @@ from ..validate import number
 from .body import Body, DrawnShape, grid_cell
 from .meshcat_server import Cloud, Copy, Window
 
-# [scene sizes] An object farther away or larger than this is ignored when the camera is moved back to see everything.
+# An object farther away or larger than FAR [scene sizes] is ignored when the camera is moved back to see everything.
 FAR = 3.0
 
 

@@ -41,7 +41,8 @@ class CertainLists(NamedTuple):
     final: bool
     # (M, 3 + n) a row for each solution: position error [m], rotation error [rad], distance from q0, q [rad]
     table: np.ndarray
-    # (N, .) for each pose the index of its first row, the number of its rows, and evidence that these are all (`list_certain`)
+    # (N, .) for each pose the index of its first row in `table`, the number of its rows, and the evidence that no solution is
+    # missing (see `list_certain`)
     notes: np.ndarray
     notice: str  # text that says that q0 was clamped, or ""
 

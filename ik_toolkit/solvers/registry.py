@@ -87,7 +87,7 @@ def _row(point: Any) -> Row:
         raise InvalidOption("ik_toolkit already has a solver of that name")
     if row.target.count(":") != 1:
         raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
-    # 'auto' takes only solvers of this package, because installing another package must not change answers.
+    # The solver 'auto' chooses only among solvers of this package, because installing another package must not change answers.
     return replace(row, joints=())
 
 

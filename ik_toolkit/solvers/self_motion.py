@@ -53,7 +53,7 @@ class ContinuationConstants(NamedTuple):
     newton: int = 8  # largest number of Newton steps that correct a point so that the tip is at its target again
     closed: float = 1e-22  # squared pose error at which the Newton steps of a correction end
     damping: float = 1e-12  # damping of the Newton steps of a correction
-    # a joint with a smaller component of the unit tangent counts as standing still, so it reverses at this very point
+    # a joint whose component of the unit tangent is below `level` counts as standing still, so it reverses at that very point
     level: float = 1e-5
     same: float = 1e-6  # [rad] a known solution lies on the curve if its distance from the curve is smaller
     # Near a singular pose the steps may switch to another, closed curve, which never returns to the first point. So the curve also

@@ -20,7 +20,7 @@ from ..solvers.status import Status, count_statuses
 from ..text import Tabled, TextTable, duration
 from ..validate import one_of, solver_list
 
-# The targets are solved in this many blocks, each by all solvers in turn, so that other load on the machine affects all alike.
+# The targets are solved in BLOCKS blocks, each by all solvers in turn, so that other load on the machine affects all alike.
 BLOCKS = 10
 NEAR = 0.1  # [rad or m] the start 'near' is a solution with every joint changed at random by at most this
 RESTARTS = 99  # default number of restarts of every solver, so that each has 100 attempts

@@ -13,9 +13,9 @@ from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversibl
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
-# If measured points are farther than this share of the reach from the nominal arm's, they may be in another frame.
+# If measured points are farther than ELSEWHERE times the reach from the nominal arm's, they may be in another frame.
 ELSEWHERE = 0.2
-# If the median error after the fit exceeds this many times NOISE, joints with a wrong sign are searched for once more.
+# If the median error after the fit exceeds DOUBTFUL times NOISE, joints with a wrong sign are searched for once more.
 DOUBTFUL = 4.0
 # number of random configurations that tell how many errors measurements all over the joint ranges could determine
 SAMPLES = 200

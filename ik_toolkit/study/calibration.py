@@ -23,7 +23,7 @@ from .suggest_poses import chosen_poses
 # A residual above MIXED_UP times the reach is too large to be credible: errors of 5 mm and 1 degree at every joint of four arms
 # cause only 0.006 to 0.047.
 MIXED_UP = 0.05
-# An error is hardly determined by the data if its standard deviation exceeds this share of the one assumed beforehand (prior).
+# An error is hardly determined by the data if its standard deviation exceeds UNSURE times the one assumed beforehand (prior).
 UNSURE = 0.7
 
 
@@ -46,7 +46,7 @@ class Calibration(Tabled):
     parameters: tuple[str, ...]  # which errors were looked for: those of joints, frames, tool, base
     unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
     x: np.ndarray  # (P,) the errors that were found [m or rad]; 0 for fixed unknowns
-    spread: np.ndarray  # (P, P) covariance of these errors, zero for fixed unknowns
+    spread: np.ndarray  # (P, P) covariance of the errors x, zero for fixed unknowns
     fixed: tuple[FixedUnknown, ...]  # unknowns fixed at their nominal values, and those they cannot be separated from
     rank: int  # number of unknowns that the data determine
     rank_drawn: int  # number of unknowns that the data would determine at the nominal arm

@@ -48,7 +48,7 @@ class Allowances(NamedTuple):
     kinematics: float = 1e-12
     # largest joint value [rad, or lengths over the scale] that is accepted; its rounding error is 1e-13
     widest: float = 1e3
-    # [rad, or lengths over the scale] a target counts as in a planar arm's plane if it is this near to it
+    # [rad, or lengths over the scale] a target counts as in a planar arm's plane if it is off by less than `flat`
     flat: float = 1e-9
     # two axes count as parallel if the sine of their angle is smaller; `share` covers the error made by that
     parallel: float = 1e-12

@@ -20,7 +20,7 @@ class SearchSizes(NamedTuple):
 
     samples: int = 400_000  # random configurations of which the inverse reachability map is made
     height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
-    # tool directions are sorted into cells by projecting them onto a cube, with this many cells along each edge
+    # tool directions are sorted into cells by projecting them onto a cube, with `sides` cells along each edge
     sides: int = 9
     floor: float = 1 / 24  # width of a cell of the floor, over the reach; the map counts the poses in reach from it
     yaws: int = 36  # number of cells of yaw in which the map counts poses in reach

@@ -122,7 +122,7 @@ def reachability(
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((KIND.position if grid.rotations is None and grid.poses is None else KIND.pose,))
     require_reaching(plan.options, "reachability")
-    # If the options narrow the limits, the solver has a variant of the robot with these limits.
+    # If the options narrow the limits, the solver works on a copy of the robot with the narrower limits.
     robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:
         grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)

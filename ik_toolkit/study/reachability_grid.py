@@ -20,7 +20,7 @@ class GridEffort(NamedTuple):
     few: int = 4  # number of attempts at each target of a grid, before the configurations of its neighbours are tried as starts
     # number of attempts at an unreached, unproven cell that touches a reached one, and at single poses, which have no neighbours
     many: int = 50
-    # undecided cells beside reached ones are solved in this many groups, each with its own random starts
+    # undecided cells beside reached ones are solved in `groups` groups, each with its own random starts
     groups: int = 16
     audited: int = 1000  # number of attempts at each unproven answer that the audit tries again
     chunk: int = 2**16  # number of answers computed between two writes to the file

@@ -68,7 +68,7 @@ class Panel(Unique):
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
-        # viser warns of this when a visitor leaves, which is normal
+        # viser warns of messages to a closed connection whenever a visitor leaves, which is normal
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         session = Session(source, tips)  # an invalid robot raises its error here
         here = session.robot.for_tips(session.poses())

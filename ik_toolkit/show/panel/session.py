@@ -30,7 +30,7 @@ from .drag_follower import Followed, Hand, prepare
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
 NONE = "no target"  # entry in the list of target forms for a tip (one of several) that shall have no target
 SHOWN = 16  # largest number of solutions that the panel lists
-# The rank of a tip's Jacobian is the largest at this many random configurations, which are hardly ever all singular.
+# The rank of a tip's Jacobian is taken as the largest at SAMPLES random configurations, which are hardly ever all singular.
 SAMPLES = 8
 PATIENCE = 20  # [s of robot time] how long an arm may go on moving towards a target after a drag or a failed solve
 

@@ -35,7 +35,7 @@ class Goal:
         return self.kind not in ("free", NONE)
 
     def give(self, kind: str) -> None:
-        """Change how the orientation is typed: `kind` is one of KINDS ('matrix', 'free', ...), or NONE for no target."""
+        """Set the form in which the orientation is typed: `kind` is one of KINDS ('matrix', 'free', ...), or NONE for no target."""
         self.kind = kind
         self.xyz.visible, self.rotation.visible = self._placed, self.posed
         self.rotation.multiline = kind == "matrix"

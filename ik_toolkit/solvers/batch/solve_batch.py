@@ -80,7 +80,7 @@ def _begin(
     targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
-    # This raises InvalidTarget for targets that cannot be read, so they can be counted next.
+    # `known` raises InvalidTarget for targets that cannot be read, so from here on they can be counted.
     first = next(chunks, None)
     total = None if given is None else _length(given)
     starts, notice = _read_starts(robot, q0, total)
@@ -91,7 +91,7 @@ def _begin(
     if starts is not None:
         starts, clamped = plan.check_starts(starts)
         notice = "; ".join(filter(None, (notice, clamped)))
-    # This raises InvalidOption if the solver cannot do the task, before any target is solved.
+    # called only to raise InvalidOption, before any target is solved, if the solver cannot do the task
     plan.orders(kinds, starts is not None)
     if not finish:
         plan = plan.stripped()

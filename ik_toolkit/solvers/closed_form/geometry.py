@@ -88,7 +88,7 @@ def read_screws(chain: Chain) -> Screws | str:
     """
     if not chain.plain:
         return "it has mimic joints"
-    # This uses plain NumPy, so recognising a robot compiles nothing.
+    # Only NumPy is used here, so that recognising a robot does not wait for the compiler.
     T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0

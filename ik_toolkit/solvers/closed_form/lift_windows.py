@@ -22,7 +22,7 @@ from .lift_arm import A4, A6, JOINTS, LIFT, NEARLY, joint_values, near_angles, w
 from .reach import inspection_branch, inspection_nearest
 
 DEGREE = 12  # highest degree of the polynomials in the lift (prismatic joint) that vanish where a joint is at a limit
-# A leading Chebyshev coefficient below this share of the largest one is rounding error, and is dropped.
+# A leading Chebyshev coefficient below ROUNDED times the largest one is rounding error, and is dropped.
 ROUNDED = 1e-13
 # A root counts as real if its imaginary part is below DOUBLE times half the interval, because rounding splits a double real root
 # into a complex pair.

@@ -17,7 +17,8 @@ from .geometry import legal_turn
 # arm's length.
 MERGED = 1e-7
 ON_AXIS = (
-    # An angle about an axis is free if the point that it turns is nearer to the axis than this share of the link lengths.
+    # A joint angle is free (does not matter) if the point that the joint turns is nearer to its axis than ON_AXIS times the link
+    # lengths.
     1e-12
 )
 # a point farther out than the reach by less than EDGE times the link lengths still counts as in reach (rounding)

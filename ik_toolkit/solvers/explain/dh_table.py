@@ -127,8 +127,8 @@ def _next(
     z: np.ndarray, x: np.ndarray, origin: np.ndarray, after: np.ndarray, point: np.ndarray, near: float
 ) -> np.ndarray:
     """Return the frame on the axis `after` through `point` whose x axis is the common normal from the axis z through `origin`."""
-    # This is the cross product of z and the next axis. The next axis loses its part along z first, so the product is exact even if
-    # the two are nearly parallel.
+    # the cross product of z and the next joint axis, exact even if the two are nearly parallel, because the next axis loses its
+    # part along z first
     normal = np.cross(z, after - math.copysign(1.0, z @ after) * z)
     length = float(np.linalg.norm(normal))
     if length < SAME:
