@@ -24,7 +24,7 @@ from .scene_state import css
 # the palette of Okabe and Ito (2008), which colour-blind people can tell apart; plots use it as well
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the paths of several tips
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the tips' paths, one for each tip in turn
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 BETWEEN = 6  # number of animation frames from one iteration of a solve to the next, so that the eye can follow
 OBSTACLE = (0.55, 0.58, 0.62)
@@ -190,7 +190,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 
 
 def draw_solve(scene: Any, result: Any) -> None:
-    """Animate the iterates of the attempt that found a Result with history, ending there.
+    """Draw how a Result with history was found: animate the robot through the iterations of the attempt that found it.
 
     The tip path and a ghost at the attempt's start are drawn, too, and the tip paths of the other attempts, thin and grey.
     """
@@ -259,14 +259,15 @@ def _coloured(
 
 # ------------------------------------------------------------------------------------------------------------- pictures
 def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
-    """Write a Window as a .png file of a size [pixels], or its animation as a .gif or .mp4 file of at most `most` pictures."""
+    """Write a 3-D scene (Window) as a .png file of a size [pixels], or its animation as .gif or .mp4 of at most `most` pictures."""
     from .picture import encoder, film, picture
 
     with drawing():  # raises MissingExtra early, with what to install, if matplotlib is missing
         from PIL import Image
     file = as_output(path, "the picture", *((".gif", ".mp4") if most else (".png",)))
     kind, made = file.suffix.lower(), window.about["animation"]
-    coder = encoder() if kind == ".mp4" else ""  # raises MissingExtra before the pictures are made
+    # found first, so that MissingExtra is raised before many pictures are made
+    coder = encoder() if kind == ".mp4" else ""
     require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
     if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
@@ -286,7 +287,7 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
     lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
-    lasts[-1] = 1500.0  # [ms] the last frame is shown for longer
+    lasts[-1] = 1500.0  # [ms] how long the last picture of a film is shown
     if coder:
         write_whole(file, film(coder, frames, lasts))
         return file

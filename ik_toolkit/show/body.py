@@ -46,14 +46,14 @@ class DrawnShape:
 
 
 class ChainPoint(NamedTuple):
-    """A point of a robot: its joint in the model (0: the world), and its position (3,) [m] in the joint's frame."""
+    """A point fixed to a robot: number of the joint it moves with (0: the world), and place (3,) [m] in the joint's frame."""
 
     joint: int
     place: np.ndarray
 
 
 def chain_points(arm: Any) -> list[ChainPoint]:
-    """Return the points from the base of a Robot to its tip: the base, two for every joint in between, and the tip.
+    """Return the points of the line that shows a Robot as a stick figure: the base, two for every joint in between, and the tip.
 
     A joint has a point on its parent and one on its child link. They differ only for a prismatic joint, so that the distance of
     all other neighbours is constant. Joints that mimic others and locked ones are included.
@@ -296,7 +296,7 @@ def primitive(kind: str, sizes: Sequence[float]) -> Triangles:
 
 
 def revolved(profile: Any, sections: int) -> Triangles:
-    """Return vertices and faces of a surface of revolution about z.
+    """Return vertices and faces of a surface of revolution about the z axis, for cylinders, cones and rings.
 
     profile: points (K, 2) [m] of radius and height, with the inside on their left; a closed line or one that ends on the axis.
     """
@@ -371,7 +371,7 @@ def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
 
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
-    """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
+    """Return a line through points (N, 3) [m] as a tube of triangles, because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:

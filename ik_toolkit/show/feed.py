@@ -79,7 +79,7 @@ class Feed:
         self._news()
 
     def take(self) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Return the commands that bring the page up to date, and what has changed of its text and camera."""
+        """Return what has changed since the last call: the commands that draw it, and new texts, camera or animation."""
         with self.window.lock:
             self._awake = False
             gone, paths, about = self._gone, self._paths, self._about
@@ -89,9 +89,9 @@ class Feed:
 
 
 class Guest:
-    """Draws the scene in a viewer of the caller as well: a meshcat Visualizer, or Pinocchio's MeshcatVisualizer.
+    """Draws a scene also in a viewer that the user has opened: a meshcat Visualizer, or Pinocchio's MeshcatVisualizer.
 
-    In the latter, the robot that is already loaded is moved, not drawn again.
+    In Pinocchio's viewer the robot is already loaded, so it is only moved.
     """
 
     def __init__(self, window: Any, viewer: Any, parts: Iterable[str]) -> None:
@@ -115,7 +115,7 @@ class Guest:
         self.update()
 
     def update(self) -> None:
-        """Send what has changed in the scene, but no title, text, legend or camera."""
+        """Send to the user's viewer what has changed in the scene, except texts, legend and camera, for which it has no place."""
         commands, about = self._feed.take()
         for command in commands:
             self._send(command)

@@ -63,7 +63,7 @@ def joined(module: str) -> str:
 
 
 def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """Return what the page's scripts must know of a robot (joints, nodes, tips, parts), and the bytes of all triangles."""
+    """Return a robot's data for the live page: a dict (joints, nodes, tips, parts) for JSON, and the bytes of all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
     size = float(np.linalg.norm(bounds[1] - bounds[0]))

@@ -105,7 +105,7 @@ class Window:
                 feed.deleted(path)
 
     def say(self, **about: Any) -> None:
-        """Change title, lines, legend, names of frames, camera or animation of the page."""
+        """Change texts of the page (title, lines, legend, names of frames), its camera or its animation, given by keyword."""
         with self.lock:
             self.about.update(about)
             for feed in self.feeds:

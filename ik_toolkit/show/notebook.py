@@ -35,7 +35,7 @@ _standing: dict[str, Any] = {}
 
 
 class InCell(SceneState):
-    """A scene in the cells of a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
+    """A scene that notebook cells can display; it moves there when it changes, and tells the kernel about dragged targets."""
 
     channel: "Channel | None" = None
 
@@ -220,7 +220,7 @@ def _short(about: dict[str, Any]) -> dict[str, Any]:
 
 
 class Channel:
-    """Keeps the cells that show a Window up to date over the connection of the kernel, and passes on dragged targets.
+    """The connection between a scene in the kernel and the notebook cells that show it: sends changes, receives dragged targets.
 
     An invisible widget (anywidget) carries the messages.
     """
@@ -277,7 +277,7 @@ class Channel:
 
 
 def connection(scene: str) -> Any:
-    """Return a widget that connects the cells of the scene of this name with the kernel. Raises MissingExtra."""
+    """Return an invisible widget through which the cells that show a scene (its id) talk to the kernel. Raises MissingExtra."""
     try:
         import anywidget
         import traitlets

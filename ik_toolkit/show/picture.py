@@ -70,7 +70,7 @@ class _Pencil:
 
 
 def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
-    """Draw a Window (whose camera is set) as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
+    """Render a 3-D scene (Window, with its camera set) as the bytes of a PNG of a size [pixels]. Raises MissingExtra."""
     sharp = _Pencil.sharp
     W, H = sharp * size[0], sharp * size[1]
     pencil, curves = _Pencil((W, H)), window.about.get("curves")
@@ -287,9 +287,9 @@ def encoder() -> str:
 
 
 def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
-    """Encode pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: how long each is shown, similar for all but the last.
+    """Encode pictures (PIL) as an MP4 film (H.264), return its bytes. lasts (N,) [ms]: how long each is shown.
 
-    Raises InvalidOption if ffmpeg fails, with what it says.
+    All but the last are shown equally long. Raises InvalidOption if ffmpeg fails, with what it says.
     """
     first, *_ = rgb = [frame.convert("RGB") for frame in frames]
     rate = 1000.0 / float(lasts[:-1].mean()) if len(lasts) > 1 else 1.0

@@ -123,7 +123,7 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, one row for each robot, the success rate with its 95 % interval, and the share of targets solved over time."""
+    """Draw a Benchmark, a row for each robot: success rates with 95 % intervals, and the share of targets solved within a time."""
     robots = found.by_robot()
     # in one order, so that a solver has the same colour for every robot
     solvers = list(dict.fromkeys(row.solver for row in found.rows))
@@ -148,7 +148,7 @@ def plot_benchmark(found: Benchmark) -> Any:
 
 
 def plot_batch(batch: BatchResult) -> Any:
-    """Draw the share of targets that were solved within so many iterations, and the errors of those that were not."""
+    """Draw a BatchResult: the share of targets solved within a number of iterations, and the errors of targets not solved."""
     good = batch.success
     with charts(1, 1, (6.2, 3.2)) as (figure, axis):
         steps = np.maximum(np.sort(batch.iterations[good]), 1)
@@ -204,7 +204,7 @@ def stability_map(axis: Any, chart: StabilityChart) -> Any:
 
 
 def plot_calibration(found: Calibration) -> Any:
-    """Draw the residuals of all measurements for the nominal and the corrected arm, and the errors with their 95 % intervals."""
+    """Draw a Calibration: residuals of the measurements for nominal and corrected arm, and the arm's errors with 95 % intervals."""
     turns = {one.name: one.turns for one in found.unknowns}
     base = {one.name for one in found.unknowns if one.group == "base"}
     height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))

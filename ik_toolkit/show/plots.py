@@ -21,7 +21,7 @@ from .body import skeleton
 
 FLOOR = 1e-12  # [m, rad] smaller errors are drawn at this value, because a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
-COLUMNS = 5  # largest number of columns of the legend of joints
+COLUMNS = 5  # The legend with the names of the joints has at most this many columns.
 
 
 @contextmanager
@@ -293,7 +293,7 @@ def _joints(
     bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
-    for k in breaks:  # no line is drawn across a change of branch
+    for k in breaks:  # NaN leaves a gap in the lines where the path jumps to another branch (reconfiguration).
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
     _lines(ax, x, shown, names)

@@ -82,9 +82,10 @@ def _loose(found: ReachabilityMap) -> Any:
 
 
 def draw_cells(scene: Any, found: ReachabilityMap) -> None:
-    """Draw the reached cells of a map around the robot, coloured as in its chart; the slider cuts them along y, x or z.
+    """Draw the reached cells of a ReachabilityMap around the robot in a 3-D scene, with a slider that cuts them open.
 
-    Each plane of cells is a cloud of its own; frame k of the animation hides the planes before k.
+    Colours are those of `plot_map`. Each plane of cells is a cloud of its own; frame k of the animation hides the planes before
+    k.
     """
     if found.tip != scene.robot.tips[0] or found.joint_names != scene.robot.joint_names:
         raise InvalidOption(

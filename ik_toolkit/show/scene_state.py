@@ -67,7 +67,7 @@ def read_labels(labels: Any) -> list[str]:
 
 
 class SceneState(Unique):
-    """Everything drawn in a scene, by name, and the page's text and camera."""
+    """Base class of Scene: keeps everything drawn in a 3-D scene by name, with the page's texts and camera."""
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
         """Start with nothing drawn of a Robot or a Tree."""

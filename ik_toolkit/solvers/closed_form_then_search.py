@@ -73,7 +73,8 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         ended = np.array(out[failed, SIZE.answer :])
         kinds = (int(opt[SIZE.orders]),)
         # The iteration history exists only for a single target; the closed form has then written its first row.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # the start is home if the caller gave none
+        # The compiled code gets the robot's home as start if the caller gave none.
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -155,7 +156,8 @@ def continue_with(
             hist[: len(noted)] = noted
         else:
             plan.run(T[some], how[0], starts, how[1], found)
-        # The row may keep the status of the closed form, so q must be the closest configuration, however this search ended.
+        # However the search ended, its q is moved closer to the target, because the row may keep the closed form's status, which
+        # promises the closest q.
         ended = (CODE.stalled, CODE.limit_blocked, CODE.unreachable, CODE.iteration_limit, CODE.singular)
         finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)

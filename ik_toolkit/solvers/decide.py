@@ -77,7 +77,7 @@ class Blocked(NamedTuple):
 
 
 def elimination_plan(plan: Plan) -> Plan | None:
-    """Return a Plan that solves by elimination with the options of `plan`, or None if the robot or an option rules that out."""
+    """Return a Plan like `plan` that solves by elimination, or None if the robot or an option does not allow this solver."""
     robot = plan.robot
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
@@ -237,7 +237,7 @@ class Deciding(Plan):
 
     @functools.cached_property
     def open(self) -> tuple[int, ...]:
-        """The statuses with which the short search leaves a target to the elimination."""
+        """The statuses of the short search after which the elimination tries to decide the target."""
         return (*OPEN, CODE.converged) if self.options.closest else OPEN
 
     @functools.cached_property

@@ -174,7 +174,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return whether (n,) each joint may be shifted by 2 pi, and whether it must stay inside its limits when shifted.
+    """Return for each joint (n,) whether its value counts modulo 2 pi, and whether a shift by 2 pi must keep it inside limits.
 
     A joint may be shifted if everything that it moves turns with it, mimic joints by a whole multiple of its angle.
     """
@@ -186,7 +186,7 @@ def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
 
 
 def spread_rows(found: Solutions, count: int) -> Solutions:
-    """Return at most `count` of the solutions, in order: rows that are far from one another, the nearest to q0 among them."""
+    """Choose at most `count` solutions that are far from one another, including the one nearest to q0; their order is kept."""
     q = found.q / found.robot.chain.unit
     chosen = [0]
     gap = np.linalg.norm(q - q[0], axis=1)

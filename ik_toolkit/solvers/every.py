@@ -67,10 +67,10 @@ class CertainLists(NamedTuple):
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find all solutions, for `Solver.all`: Solutions for one target, a SolutionsBatch for targets (N, 4, 4) or (N, 3)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
-    if isinstance(target, list | tuple):  # a list of targets, or one target as nested lists
+    if isinstance(target, list | tuple):  # may be a list of targets, or one target as nested lists
         each_one = [getattr(one, "homogeneous", one) for one in target]
         target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
-    # each target of a Tree has one more axis, that of its tips
+    # one target of a robot with several tips (Tree) has one more axis than that of a Robot
     shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)
     several = isinstance(shape, tuple) and len(shape) == 3 + places - (shape[-1:] == (3,))
     plan = solver.lister if is_plain(solver, target, several) else None

@@ -47,7 +47,8 @@ CLOSED_FORM_SAYS = {
         "{left} away{at}; widen the limits or move the target"
     ),
 }
-SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # statuses of a failed search
+# statuses with which a search gives up without proof; the message then suggests what to try
+SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)
 ASK_LESS = "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
 
 

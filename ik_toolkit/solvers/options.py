@@ -177,7 +177,7 @@ class SolveOptions(AllOptions, total=False):
 
 
 def avoided(value: Any) -> bool | float | CollisionModel:
-    """Return the value of `avoid_collisions`: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
+    """Check a value of the option avoid_collisions: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
     if isinstance(value, CollisionModel):
         return value
     if value is None or isinstance(value, bool | np.bool_):
@@ -317,7 +317,8 @@ def _relative_to(name: str, value: Any) -> dict[str, str] | None:
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:
-    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1
+    # Besides numbers, booleans ("b") are accepted: True counts as 1.
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
         raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
     return tuple(array.tolist())

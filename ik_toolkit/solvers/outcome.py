@@ -9,7 +9,7 @@ from ..kernel.counted_error import KIND
 from ..kernel.records import AT, SIZE
 from .plan import Plan
 
-# Position error [m] and rotation angle [rad] (None if it is free) of each tip.
+# type of the errors left after a solve: for each tip the position error [m] and rotation angle [rad] (None if rotation is free)
 Errors = list[tuple[float, float | None]]
 SPOKEN = (KIND.position, KIND.free)  # kinds of target that leave the orientation free
 

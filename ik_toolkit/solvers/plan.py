@@ -32,17 +32,18 @@ MARGIN = 1.0 - 1e-9
 # A plan caches option arrays for KINDS_KEPT kinds of target (pose, position, ...). Each tip axis about which a target may turn is a
 # kind of its own, so there may be many.
 KINDS_KEPT = 64
-CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
+CLOSEST = 16  # With the option closest=True, the nearest to q0 of this many solutions found is taken.
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
 class Plan:
-    """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
+    """A solver made ready for one robot and its options: the compiled function, the arrays that it takes, and what runs after it.
 
     `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the indices in q of
-    the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
+    the joints with weight 0; `steps` are the functions that check and improve an answer, `improving` those that improve it (see
+    `postprocess.finishing`).
     """
 
     # whether a failed target of a batch keeps the q at which its search ended, instead of the closest one; see `stripped`
@@ -97,12 +98,12 @@ class Plan:
 
     @functools.cached_property
     def unlimited(self) -> "Plan":
-        """The same plan without limits and with a few attempts, to test whether limits block a target."""
+        """A copy of the plan without joint limits, with a few attempts, to test whether limits are what blocks a target."""
         return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **self._few})
 
     @functools.cached_property
     def retried(self) -> "Plan":
-        """The same plan with as many attempts as `unlimited`, to test whether further ones reach the target inside the limits."""
+        """A copy of the plan with limits and as many attempts as `unlimited`, to test whether limits really block a target."""
         return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
 
     @property
@@ -200,9 +201,9 @@ class Plan:
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, table of starts, and their features.
+        """Return the arrays that describe the robot to the compiled search: rows, ends, table of starts, and their features.
 
-        In every start of the table, joints with weight 0 have the values of the first row of `start`.
+        In every start of the table, joints with weight 0 have their values in the first row of `start` (1 or N, n).
         """
         found = self._table(kinds[0] == KIND.position)
         if self._plain:
@@ -295,7 +296,8 @@ class Plan:
 
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
-            # the first start with a NaN, else the one with the largest joint value outside its limits
+            # index of the start that is checked in detail: the first with a NaN, else the one with the largest joint value outside
+            # limits
             k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
         robot.check_q(Q[k], called(k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q

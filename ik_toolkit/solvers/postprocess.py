@@ -27,7 +27,7 @@ ENDED = (CODE.stalled, CODE.limit_blocked, CODE.unreachable)
 
 
 class Limits(NamedTuple):
-    """Limits on the work done after a search to improve its answer or explain its failure."""
+    """Limits on the work that is done after a search, to improve its answer or to explain its failure."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
     # After a failure, if the option length_scale is given, the error is also minimised from `begins` random configurations.

@@ -21,7 +21,7 @@ LARGEST = 16_000_000  # largest size of a preset file that is read [bytes]
 
 
 def list_presets(solver: str) -> list[str]:
-    """Return the names of the shipped presets of a solver."""
+    """Return the names of the presets (published or tuned parameters) of a solver that come with this package."""
     return sorted(path.stem for path in (FOLDER / solver).glob("*.toml"))
 
 
@@ -73,7 +73,7 @@ def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
-    """Return the starts of a solver as an array (M, n), clipped to the robot's limits. Raises InvalidOption."""
+    """Check the starts given to a solver; return them as an array (M, n), clipped to the limits. Raises InvalidOption."""
     array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(

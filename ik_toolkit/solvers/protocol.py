@@ -63,7 +63,7 @@ class Asked:
 
     @property
     def rows(self) -> int:
-        """Number of independent errors that the joints can change at all."""
+        """Number of independent pose errors that the joints of the robot can change."""
         return self.span.shape[1]
 
 
@@ -150,7 +150,7 @@ class ClosedForm(Protocol):
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Return {index in q: value [rad or m]} of joints that the closed form's parameters fix; by default there are none."""
+        """Return {index in q: value [rad or m]} of the joints that parameters of this closed form hold fixed; by default none."""
         return {}
 
     preset, space = Rule.preset, Rule.space
@@ -260,7 +260,7 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 
 
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
-    """Return why a solver that fits the robot cannot do what is asked, or ''; messages put the solver's name before it."""
+    """Return why a solver cannot do a task although it fits the robot, or ''; the text is to follow the solver's name."""
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"

@@ -37,12 +37,12 @@ BY_LEVELS = next(row.name for row in ROWS if row.levels)
 
 
 def search_for(priority: Any) -> str:
-    """Return the name of the default search, which depends on whether the option `priority` is given."""
+    """Return the name of the default iterative solver: 'sqp' if the option `priority` is given, otherwise 'lm'."""
     return GENERAL if priority is None else BY_LEVELS
 
 
 def list_rows() -> tuple[Row, ...]:
-    """Return the registry rows of our solvers, then those of other packages."""
+    """Return the registry rows (`Row`) of this package's solvers, then those of solvers in other installed packages."""
     return (*ROWS, *registered().values())
 
 

@@ -37,7 +37,7 @@ class MotionEnd(NamedTuple):
     closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
     singular: int = 2  # a singular pose, where the next step would be too short
-    long: int = 3  # the curve goes on, but the largest number of its points was reached
+    long: int = 3  # the curve goes on, but following it was ended at the largest number of points
 
 
 @compiled
@@ -200,7 +200,8 @@ def follow(rows, ends, opt, T, start, sign, seeds, seen, out):
         for k in range(seeds.shape[0]):
             if seen[k] == 0 and passes(p, box, q, t, step, seeds[k], y, v):
                 seen[k] = 1
-        # Near a singular pose the continuation may have switched to another, closed curve: then only that curve is kept.
+        # If the curve is back at an earlier point that is not the first, the steps have switched to another, closed curve near a
+        # singular pose. Only that curve is kept.
         for known in (0, past):
             if size > known + 3 and passes(p, box, q, t, step, out[known], y, v):
                 copy(y, out[size])
@@ -313,7 +314,7 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
 class Slicing(NamedTuple):
     """A seven-joint arm with its first or last joint fixed, so that the solver for six revolute joints applies."""
 
-    joint: int  # index of the fixed joint, 0 or 6
+    joint: int  # index of the joint that is fixed: 0 (first) or 6 (last)
     screws: Screws
     arm: np.ndarray  # (52,) geometry of the six other joints, as `make_arm` returns it
     forms: np.ndarray  # orderings of the closed loop of the six joints for the elimination, best first (`make_forms`)

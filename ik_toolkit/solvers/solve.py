@@ -254,7 +254,7 @@ def is_auto(solver: Any) -> bool:
 
 
 def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
-    """Return a closed form that fits the robot and has a parameter in `options` that the general search lacks, or None."""
+    """Return a closed form that fits the robot if `options` has one of its own parameters, which show that it is meant; or None."""
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None
@@ -350,7 +350,7 @@ def solve_all(
     require_robot(robot)
     for name in CHOOSING:
         value = options.get(name)
-        # an array counts as given; it has no truth value
+        # An array as value of an option counts as given; it cannot be tested like a bool.
         if value is not None and not (isinstance(value, int | float | np.bool_) and not value):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)

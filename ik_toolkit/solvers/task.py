@@ -13,7 +13,7 @@ from ..robot.pose import AxisTarget, check_target, errors
 from ..robot.ros import is_by_name
 from .options import COUNTING, GROUPS, Options
 
-POSES = (KIND.pose,)  # the kinds of target if a single tip has a pose as target
+POSES = (KIND.pose,)  # kinds of target (one per tip) for the usual case: one tip, a whole pose
 WHOLE = frozenset((KIND.pose, KIND.position))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
@@ -276,7 +276,7 @@ def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
 
 
 def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
-    """Return one target, given in the frame `base`, as a pose (4, 4), with its kind and a notice."""
+    """Check one target in any accepted form; return it as a pose (4, 4), with its kind and a notice. base: the frame it is in."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):

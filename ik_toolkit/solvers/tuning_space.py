@@ -27,7 +27,7 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """How many numbers the parameter has."""
+        """How many numbers the parameter consists of (1 unless it is an array)."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
@@ -63,7 +63,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """How many numbers the search varies."""
+        """How many numbers the tuner varies: those of all parameters together."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property

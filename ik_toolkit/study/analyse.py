@@ -146,7 +146,7 @@ class LoopAnalysis:
         return solve_batch(self.robot, targets, made, q0=q0, **options).success
 
     def off_slice(self, q: Any, q0: Any) -> np.ndarray:
-        """Return the distance (N,) [rad or m] of configurations q (N, n) from the subspace q0 + S w of a solver with one start.
+        """Return how far (N,) [rad or m] configurations q (N, n) are from the set q0 + S w that a solver with one start can reach.
 
         Raises InvalidOption if the solver has several starts.
         """
@@ -178,7 +178,7 @@ def analyse(
     seed: int = 0,
     position_only: bool | None = None,
 ) -> LoopAnalysis:
-    """Analyse the loop of the state-space solver at configurations of a robot, to first order.
+    """Analyse how the state-space solver, as a feedback loop, reduces small errors near configurations of a robot.
 
     Args:
         robot: A robot with one tip.

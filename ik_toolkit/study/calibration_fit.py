@@ -111,11 +111,11 @@ class ArmFit:
         return every[:P], every[P:]
 
     def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the residuals of all measurements (N, per) [m, rad], `per` numbers a measurement, for unknowns x and z."""
+        """Return the residuals (N, per) [m, rad] of all measurements for unknowns x and z; each measurement gives `per` numbers."""
         return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
 
     def typical(self) -> float:
-        """Return the median error of a measurement, in units of NOISE."""
+        """Return the median of the measurements' errors for the present fit, in units of the default noise NOISE."""
         return float(np.sqrt(np.median(((self.errors(self.x, self.z) / self.measured.sigma(NOISE)) ** 2).sum(1))))
 
     # ------------------------------------------------------------------------------------------------- noise, outliers

@@ -91,7 +91,7 @@ class DrawnArm:
         return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
-        """Return the transforms that the errors x (P,) cause, by the joint's number in the model; 0 is the tip, -1 the base."""
+        """Return the errors x (P,) as transforms of the frames they belong to, by the joint's number; 0 is the tip, -1 the base."""
         return {place.joint: _motion(place, x)[0] for place in self._places}
 
     def poses(self, x: np.ndarray, Q: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from ..solvers.registry import find_row, make_rule
 from ..solvers.tuning_space import Parameter, Space
 from ..validate import switch
 
-# Ranges of parameters that several solvers have: lowest and highest value, and whether the scale is logarithmic.
+# Range in which a parameter of this name is tuned, for every solver that has it: lowest and highest value, and whether the scale is
+# logarithmic.
 RANGES = {"damping": (1e-4, 1.0, True), "gain": (0.05, 1.9, False)}
 # largest number of starts that can be tuned at once; it keeps a mistyped number from filling the memory
 MOST_MAPS = 4096

@@ -16,7 +16,7 @@ from ..robot.formats.finding import did_you_mean
 from ..robot.pose import as_matrix
 from ..text import length
 
-# how many numbers each kind of measurement gives
+# the kinds of measurement, and how many numbers each gives
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
@@ -147,7 +147,7 @@ class Measurements:
         return [f"{word} {k}.{part}" for k in range(self.count) for part in "xyz"]
 
     def sigma(self, noise: Sequence[float]) -> np.ndarray:
-        """Return the standard deviation of each number of a measurement, for a noise of (length [m], angle [rad])."""
+        """Return the standard deviation (per,) of the numbers that one measurement gives, for a noise (length [m], angle [rad])."""
         return np.array([noise[0]] * 3 + [noise[1]] * 3)[: self.per]
 
     # --------------------------------------------------------------------------------------------------------- errors

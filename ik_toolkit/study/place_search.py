@@ -19,16 +19,18 @@ class SearchSizes(NamedTuple):
     """Sizes of the search for base poses, chosen on a benchmark of 800 poses along three edges of a sheet."""
 
     samples: int = 400_000  # random configurations of which the inverse reachability map is made
-    height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
+    # width of a cell of the inverse reachability map in the height of the tip, as a share of the reach
+    height: float = 1 / 40
     # tool directions are sorted into cells by projecting them onto a cube, with `sides` cells along each edge
     sides: int = 9
-    floor: float = 1 / 24  # width of a cell of the floor, over the reach; the map counts the poses in reach from it
-    yaws: int = 36  # number of cells of yaw in which the map counts poses in reach
+    # width of a cell of the floor, as a share of the reach; the inverse reachability map counts poses in reach from each cell
+    floor: float = 1 / 24
+    yaws: int = 36  # number of cells into which the yaw of the base is divided in the inverse reachability map
     voted: int = 300  # number of candidates proposed by the inverse reachability map
     spread: int = 3000  # number of candidate bases spread evenly over the allowed region
     few: int = 32  # number of poses on which the first candidates are examined, before all poses are tried
     rounds: int = 4  # number of rounds of refinement, each with half the width of the last
-    keep: int = 10  # number of bases that are refined
+    keep: int = 10  # number of best bases around which each round of refinement searches
     around: int = 20  # number of new bases around each base that is refined
     last: int = 740  # number of candidates that are examined on all poses
     # number of rounds that refine the best three bases on all poses; the bases they add are among the `last` ones
@@ -36,7 +38,7 @@ class SearchSizes(NamedTuple):
     attempts: int = 4  # number of solver attempts per pose while candidates are examined
     sure: int = 50  # number of solver attempts per pose for the placements that are returned
     followed: int = 3  # number of placements for which a path through ordered poses is computed
-    measured: int = 50  # number of configurations at which clearance is measured
+    measured: int = 50  # number of configurations of a placement at which the clearance to obstacles is measured
 
 
 SEARCH = SearchSizes()
@@ -119,7 +121,10 @@ class Candidates:
 
     @staticmethod
     def apart(bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
-        """Return the first `count` of bases (M, 4) that are farther than width (4,) from those before them."""
+        """Choose up to `count` bases (M, 4) that differ from each other by more than width (4,), preferring the first.
+
+        The width is for x, y [m], yaw [rad] and height [m].
+        """
         found = bases[:1]
         for base in bases[1:]:
             away = np.abs(base - found)
@@ -203,7 +208,7 @@ class Candidates:
         return free
 
     def untouched(self, bases: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Return which configurations q (k, n) at bases (k, 4) touch no obstacle; equal bases are side by side."""
+        """Return which configurations q (k, n) at bases (k, 4) touch no obstacle; rows of the same base must follow each other."""
         free, at = np.zeros(len(q), bool), None
         for k, base in enumerate(bases):
             if at is None or (base != at).any():
@@ -218,7 +223,7 @@ class Candidates:
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
     def solve_beside(self, base: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for all poses from one base (4,), among the obstacles; return which are reached (N,), and q (N, n)."""
+        """Solve for all poses from one base (4,), avoiding the obstacles; return which are reached (N,), and q (N, n)."""
         more: dict[str, Any] = {"check": 1.0}
         if self.scene is not None:
             self.stand(base)
@@ -256,7 +261,8 @@ class Candidates:
                     at = at[((at >= 0) & (at < sides)).all(axis=1)]
                     votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
-            # add the counts of neighbouring cells; yaw is periodic, and the outer cells of x and y are empty
+            # Each cell gets the counts of its neighbours added. `roll` wraps around, which is right for yaw and harmless in x and
+            # y, whose outer cells are empty.
             for axis in range(3):
                 smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]

@@ -236,7 +236,7 @@ class _Study:
         return yes
 
     def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:
-        """Store the results of a batch for answers `rows` (m,); those already known to be reached stay so."""
+        """Store the results of a batch as answers (indices `rows` (m,)); a known yes stays so. Return the number of yes."""
         good = batch.success & self.inside(rows, batch)
         left = np.where(batch.proven, Reach.NO, np.maximum(self.states[rows], failed))
         states = np.where(good, Reach.YES, left).astype(np.int8)
@@ -262,7 +262,7 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Solve unreached targets again from the configurations of reached neighbours, until no more solutions are found.
+        """Solve unreached targets again, starting at solutions of neighbouring cells, until no more are found.
 
         tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """

@@ -22,8 +22,9 @@ class GridEffort(NamedTuple):
     many: int = 50
     # undecided cells beside reached ones are solved in `groups` groups, each with its own random starts
     groups: int = 16
-    audited: int = 1000  # number of attempts at each unproven answer that the audit tries again
-    chunk: int = 2**16  # number of answers computed between two writes to the file
+    # number of solver attempts at each undecided answer that the audit (a check by random sample) tries again
+    audited: int = 1000
+    chunk: int = 2**16  # number of answers (cell and orientation) that are computed at a time, then written to the file
     cells: int = 40  # number of cells along the longest side of a region, unless the resolution is given
 
 

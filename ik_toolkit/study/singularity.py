@@ -20,7 +20,7 @@ STUCK = 1e-9
 
 @dataclass(frozen=True)
 class Run:
-    """A solve from a start, with measures of singularity at each of its k evaluations.
+    """A recorded solve: how near to singular the arm was at each of its k evaluations.
 
     Attributes:
         solver: Name of the solver.

@@ -107,7 +107,10 @@ def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
 def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
-    """Draw the targets of `sample_targets` in chunks, for more than fit in memory; chunk k depends only on (seed, k)."""
+    """Yield random reachable targets (see `sample_targets`) in chunks, for more than fit in memory.
+
+    Chunk k depends only on (seed, k).
+    """
     count = whole(count, "targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

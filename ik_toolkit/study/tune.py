@@ -31,7 +31,7 @@ METHODS = ("cma", "pso")
 # number of held-out target sets in the final comparison if Ctrl-C ended the search; one, so that it ends soon
 JUDGED_SOON = 1
 FINALISTS = 8  # number of best candidates that are compared on the validation targets
-# Highest number of iterations during the search, where failures take most of the time and slow solves should count as failures.
+# Largest number of iterations of a solve during tuning, where failures take most of the time and slow solves count as failures.
 SEARCH_ITERATIONS = 300
 # Each set of targets has a random stream of its own, so no target is in two sets.
 TRAIN, VALIDATION, HELD_OUT = 1, 2, 3

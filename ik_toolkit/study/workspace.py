@@ -30,7 +30,8 @@ class StudySizes(NamedTuple):
     """Sizes of a workspace study: cells of the map, and how much is kept in memory."""
 
     cells: int = 24  # number of cells along the longest side of the success map
-    envelope: int = 100_000  # number of random configurations whose tip positions give the envelope
+    # number of random configurations from whose tip positions the size of the workspace is measured
+    envelope: int = 100_000
     kept: int = 20_000  # number of targets kept in memory for plots; a file receives all of them
     failures: int = 1000  # number of failures kept in memory for each solver
 

@@ -101,7 +101,7 @@ class Visit:
         self.stage: Any = None
         # parts of the page that stay None where a subclass does not build them
         self.chart = self.found = self.around = self.learn = self.status = None
-        self.aspect = 0.0  # width over height of the picture when the camera was last aimed
+        self.aspect = 0.0  # width over height of the visitor's picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}

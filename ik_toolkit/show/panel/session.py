@@ -88,7 +88,8 @@ class Session:
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
         self.branches: np.ndarray | None = None
-        self.recorded: list[np.ndarray] = []  # configurations (n,) of the motion being recorded
+        # configurations (n,) that the visitor has recorded so far, to be saved as a motion
+        self.recorded: list[np.ndarray] = []
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -117,7 +118,7 @@ class Session:
         return round(low, 9), round(high, 9)
 
     def ends(self, i: int) -> tuple[float, float]:
-        """Return the slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
+        """Return the range of joint i's slider [rad or m]: its limits, or without limits a turn (prismatic: a reach either way)."""
         span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
         low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
         if not self.limits:
@@ -232,7 +233,8 @@ class Session:
         """Continue from a failed attempt to the closest pose near it."""
         # A target that is too far away, or an arm that is in contact already, raises an error; then the arm stays where it is.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
-            # The arm keeps its posture, because the solver has found no other one that reaches the target.
+            # The arm must not change to another posture (reconfigure=False), because the solver has found none that reaches the
+            # target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:
@@ -253,11 +255,14 @@ class Session:
         return self.followed
 
     def prepare(self) -> None:
-        """Load or compile what `follow` needs, without moving."""
+        """Load or compile the code that `follow` runs, so that the first drag need not wait; the arm does not move."""
         prepare(self.robot, self.q, self.robot.for_tips(self.poses()))
 
     def solve_all(self, target: Any) -> tuple[str, str]:
-        """Find solutions (at most 16 are kept); return their number in words, and details. Raises what `ik.solve_all` does."""
+        """Find all solutions for a target and keep up to 16 in the session; return two texts: their number, and details.
+
+        Raises what `ik.solve_all` does.
+        """
         self.target = _copy(target)
         found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]

@@ -121,7 +121,7 @@ class SolutionsTab:
         return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
 
     def point(self) -> None:
-        """Show the chosen solution as a translucent robot."""
+        """Show the chosen solution in the view as a second, translucent robot."""
         if self.folder.visible:
             self.ghost(self.session.solutions[self.chosen])
 

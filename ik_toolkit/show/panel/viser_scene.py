@@ -268,7 +268,7 @@ class Stage:
         _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
 
     def aim(self, q: np.ndarray) -> None:
-        """Look at the robot at q from the front right."""
+        """Aim the camera at the robot at q (n,) from the front right, so that it fills the picture."""
         camera = self.client.camera
         # [pixels] The largest width seen is that of the page: at first the picture is as wide, until the controls are docked beside
         # it.

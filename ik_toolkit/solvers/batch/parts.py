@@ -158,7 +158,7 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, parts: Iterator[Part], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each part, in order, solved on threads of this process.
+    """Solve the parts of a batch on threads of this process; yield result rows and failures of each part, in order.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """
@@ -178,7 +178,7 @@ def check_executor(executor: Any) -> None:
 
 
 def on_executor(plan: Plan, parts: Iterator[Part], share: float, executor: Executor) -> Tables:
-    """Yield the result rows and failures of each part, in order, solved by the workers of an executor.
+    """Solve the parts of a batch on the workers of an executor; yield result rows and failures of each part, in order.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """

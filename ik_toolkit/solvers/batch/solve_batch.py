@@ -26,7 +26,7 @@ from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_fail
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # largest number of targets given to a thread at a time, and to a worker of an executor
-LEAST_PART = 128  # least number of targets in a part when a smaller batch is divided between threads
+LEAST_PART = 128  # A small batch is divided between threads into parts of at least this many targets.
 
 
 def solve_parts(

@@ -191,7 +191,7 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Yield chunks of targets as Blocks; their numbers are checked later, by the compiled search.
+    """Yield the targets of a batch in chunks (Block), with checked shapes; the compiled search later checks the numbers.
 
     Raises InvalidTarget for a wrong shape, and for a chunk whose kinds differ from those of the first.
     """
@@ -257,7 +257,7 @@ def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Return a target T (4, 4) or (F, 4, 4) that the compiled search rejected, with its rotations made exact.
+    """Correct a target T (4, 4) or (F, 4, 4) that the compiled search rejected because its rotations are not exact.
 
     Raises InvalidTarget, which names the target (its `number` in the batch) and the tip, if a pose cannot be corrected.
     """

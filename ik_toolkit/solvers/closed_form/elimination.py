@@ -105,7 +105,7 @@ def certificate_of(answer: list[float]) -> Certificate:
 class EliminationAnswer(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
-    q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
+    q: np.ndarray  # (K, 6) the solutions [rad], every angle in [-pi, pi)
     # (K,) gain 1 / |J^-1| of each solution, J the Jacobian with lengths divided by the arm's size: a configuration near it whose
     # pose is off by e is at most about e / gain away from it
     gain: np.ndarray
@@ -191,11 +191,11 @@ def moving_places(split: Split, place: int) -> tuple[int, ...]:
 def families_of(
     robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
 ) -> list[tuple[Family, np.ndarray]]:
-    """Return the self-motions through q (6,): pairs of a Family and its member whose leading joint is nearest the reference.
+    """Return the self-motions of a six-joint arm through q (6,): for each its Family, and one configuration (6,) on it.
 
-    arm (52,), form: arrays of the arm and of its decomposition; free (2,): the position (from 1 on) in the loop of joints of the
-    angle that is free, and by how much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits, reference
-    [rad].
+    The configuration is the one whose leading joint is nearest the reference. arm (52,), form: arrays of the arm and of its
+    decomposition; free (2,): the position (from 1 on) in the loop of joints of the angle that is free, and by how much it may
+    turn either way [rad]; box (at least 3, 6): lower limits, upper limits, reference [rad].
     """
     split = Split(*form[: len(Split._fields)])
     place, half = int(free[0]) - 1, float(free[1])

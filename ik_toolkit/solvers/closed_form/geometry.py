@@ -24,7 +24,7 @@ FIT = 1e-9
 # A robot does not fit a closed form if its axes deviate by more than NEAR [rad, or length over the reach] from what the form
 # assumes. Robot files written with five digits are off by up to 1e-4, and Newton steps correct that.
 NEAR = 1e-4
-SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
+SNAP = 1e-9  # [rad or m] a joint value that exceeds a limit by less than this is put on the limit
 
 
 class Fit(NamedTuple):
@@ -60,7 +60,7 @@ class Branches(NamedTuple):
 
     # (K, n) joint values of the branches [rad or m]; angles are shifted by 2 pi k to be nearest a reference, such as q0
     q: np.ndarray
-    broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
+    broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds its most exceeded joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether it is proven that there are no other branches.
     # text for the message of a solve: at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''
@@ -68,7 +68,7 @@ class Branches(NamedTuple):
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that refine each branch on the actual chain.
     fixed: int = -1  # index in q of a joint that refining by Newton steps must not move, or -1
-    partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
+    partial: bool = False  # whether the list is known to lack some solutions, so that a search must add them
     certificate: Any = None  # Evidence that the list is complete (`elimination.Certificate`), or None.
 
 
@@ -76,7 +76,7 @@ class Screws(NamedTuple):
     """The joint axes of a chain at q = 0, in the axes of the base."""
 
     turns: np.ndarray  # (n,) whether each joint is revolute
-    axis: np.ndarray  # Unit direction of each axis (n, 3).
+    axis: np.ndarray  # unit direction of each joint axis (n, 3)
     point: np.ndarray  # The point (n, 3) [m] of a revolute joint's axis that is nearest the tip.
     T: np.ndarray  # The pose T_base_tip (4, 4) [m].
 

@@ -157,7 +157,7 @@ def best_branch(p, P, box, near, allowed, scratch, best):
     # If the pose is out of reach by less than `allowed`, that may be rounding, and the prismatic joint lacks no stroke.
     elif free and gap >= allowed:
         d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-        if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
+        if stroke > 0.0:  # the answer for a target that the arm would reach if the prismatic joint had more stroke
             broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
     return d, broken, gap, stroke
 

@@ -34,7 +34,7 @@ SCAN = 12
 # A solution (branch) is computed at WINDOWS values of the prismatic joint. If it is outside the limits at all of them, the minima
 # of its excess are searched for between them.
 WINDOWS = 33
-# The golden section takes 64 steps, after which the interval is as small as rounding: 0.618^64 = 4e-14.
+# A golden-section search takes CLOSING = 64 steps, after which its interval is as small as rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 # Angles are shifted into their limits by 2 pi k with |k| at most TURNS; joints with wider limits count as unlimited.
 TURNS = 8
@@ -297,7 +297,7 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of an arm with axes 1 and 4 parallel by the joint value x [rad], and theta_4 so that the pose is kept.
+    """Turn joint 1 of an arm whose axes 1 and 4 are parallel to x [rad], and theta_4 back, so that the tip stays.
 
     row (6,): the arm's angles, changed in place; p: its parameters; up: 1 or -1, as for `coupled`.
     """
@@ -308,7 +308,7 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of an arm with these axes parallel to the pair inside the limits that is nearest the reference.
+    """If axes 1 and 4 are parallel, set theta_1 and theta_4 to the pair inside the limits that is nearest the reference.
 
     If no pair is inside the limits, the one that exceeds them least is taken. row (6,): the arm's angles, changed in place; p, up:
     as for `coupled`; box (4, n): limits, reference, weights.

@@ -186,7 +186,7 @@ def _conditions(p: np.ndarray, T: np.ndarray, box: np.ndarray, d: np.ndarray) ->
     along, side, z = S[:, :2] @ e, S[:, :2] @ np.array([-e[1], e[0]]), S[:, 2]
     squares, L2 = (S[:, :2] ** 2).sum(axis=1), (a4 - z) * (a4 + z)
     C = 0.5 * (a6 * a6 - L2 - squares)
-    # the coefficients of a quadratic in alpha, the same for every branch
+    # coefficients of a quadratic in alpha whose roots belong to the solutions of the pose
     pose = (squares, -2.0 * C * along, C * C - side * side * L2)
     made = [pose[2]]
     for k in range(6):

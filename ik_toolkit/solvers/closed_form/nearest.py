@@ -13,7 +13,7 @@ from ...kernel.records import AT, ORDER, SIZE, copy
 from .geometry import copy_limits, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # number of samples to list of a self-motion
+SAMPLE = 64  # number of samples to list of a self-motion (a continuum of solutions)
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:

@@ -119,7 +119,8 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         x, y, off = to_plane(p, T[t])
         gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
         count = planar_branches(x, y, p[L1], p[L2], near, sols)
-        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
+        # If the axes are only nearly parallel, solutions are corrected by Newton steps, and failures prove nothing.
+        if p[NEARLY] > 0.0:
             for k in range(count):
                 joint_values(p, sols[k], box, Q[k])
             choose(rows, ends, T[t], Q[:count], STEPS, -1, q0, opt, hist, out[t])

@@ -110,7 +110,7 @@ class Explanation:
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
-        """Yield the formulas that lead to branch k of the closed form, with their numbers."""
+        """Yield the parts of the explanation with the formulas, and their numbers, that lead to solution (branch) k."""
         assert self.worked is not None
         made = self.worked
         if made.words:

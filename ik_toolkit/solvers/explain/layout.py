@@ -11,8 +11,9 @@ from ...style import BAD, MUTED
 from .worked_solution import WorkedStep
 
 WIDTH = 80  # width of the plain text, in characters
-UNITS = {"m": "mm", "rad": "deg", "": ""}  # units in which values in m, rad or 1 are shown
-SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # factors from values in m, rad or 1 to these units
+UNITS = {"m": "mm", "rad": "deg", "": ""}  # unit in which explanations show values that are in m, rad or without unit
+# factor that converts a value in m, rad or without unit to the unit shown (mm, deg)
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}
 
 
 class Title(str):
@@ -28,7 +29,7 @@ class Variable(str):
 
 
 class OutsideLimits(str):
-    """A cell with a joint value outside the joint's limits."""
+    """A table cell with a joint value that is outside the joint's limits; shown marked."""
 
 
 class Table(NamedTuple):

@@ -14,11 +14,11 @@ from ...text import how_many
 from ...validate import switch
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inverse
+FLOOR = 1e-12  # smallest damping in J J' + damping I, needed because J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
-    """Return a text that says that the parameter `name` must be at least 0, or '' if `value` is not a negative number."""
+    """Return an error text that the parameter `name` must be at least 0 if `value` is negative, otherwise ''."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -150,7 +150,8 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson: the Jacobian is inverted by LU decomposition."""
 
-    trials: float  # highest number of trials of the line search; 0 takes the whole step without a trial
+    # largest number of times that the line search halves the step; 0 takes the whole step without a trial
+    trials: float
 
     def step(self, p, e):
         s = p.desk

@@ -34,9 +34,9 @@ SETTLED = 1e-13  # the state has settled if no component of it changes by more t
 class MapDesign(NamedTuple):
     """Constants of the solver that is designed for a robot if the user gives no matrices: many starts, each with matrices B, D."""
 
-    maps: int = 128  # Number of starts of the designed solver.
-    tuned_maps: int = 32  # Number of starts of a tuned solver.
-    samples: int = 4096  # Number of configurations from which the starts are picked.
+    maps: int = 128  # number of starts, each with its matrices, of the solver that is designed for a robot
+    tuned_maps: int = 32  # number of starts that `ik tune` tunes by default
+    samples: int = 4096  # number of random configurations from which the starts are picked
     # The Jacobian is averaged around each start: joints vary by +- `spread` of their range, at most `radius` [rad, m over reach].
     spread: float = 0.15
     radius: float = 0.3
@@ -158,7 +158,7 @@ class StateSpace(NamedTuple):
         return cls(**values)._replace(tuned=options)
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
-        """Return the solver itself or, if it has no matrices, the one designed for the robot, which is stored with the robot."""
+        """Return this solver if it has matrices, else the one designed for the robot, which is computed once for each robot."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
         key = ("state-space design", position_only)
