@@ -115,7 +115,7 @@ class Guest:
         self.update()
 
     def update(self) -> None:
-        """Send to the user's viewer what has changed in the scene, except texts, legend and camera, for which it has no place."""
+        """Send to the user's viewer what has changed in the scene, except texts, legend and camera."""
         commands, about = self._feed.take()
         for command in commands:
             self._send(command)

@@ -30,7 +30,7 @@ from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
 from .scene_state import SceneState
 
-# {a text (viewer script, robot's meshes) that several cells need: the cell of this kernel's notebook that contains it}
+# for each text that several cells share (viewer script, meshes of a robot): the cell of the notebook that contains it
 _standing: dict[str, Any] = {}
 
 

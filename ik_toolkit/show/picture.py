@@ -289,7 +289,7 @@ def encoder() -> str:
 def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
     """Encode pictures (PIL) as an MP4 film (H.264), return its bytes. lasts (N,) [ms]: how long each is shown.
 
-    All but the last are shown equally long. Raises InvalidOption if ffmpeg fails, with what it says.
+    All but the last are shown about equally long. Raises InvalidOption if ffmpeg fails, with what it says.
     """
     first, *_ = rgb = [frame.convert("RGB") for frame in frames]
     rate = 1000.0 / float(lasts[:-1].mean()) if len(lasts) > 1 else 1.0

@@ -81,9 +81,8 @@ class Handle:
 
         async def carry(event: Any) -> None:  # async, because viser keeps the order of events only for coroutines
             nonlocal offset
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # A page may send any numbers, which must not cause warnings.
+            # A page may send any numbers, which must not cause warnings.
+            with np.errstate(over="ignore", invalid="ignore"):
                 # The visitor may grab the ball at its rim, so the offset from its centre is kept.
                 if event.phase == "start":
                     offset = self.gizmo.position - np.array(event.start_position)

@@ -257,7 +257,7 @@ def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Correct a target T (4, 4) or (F, 4, 4) that the compiled search rejected because its rotations are not exact.
+    """Make the rotations of a target T (4, 4) or (F, 4, 4) exact, after the compiled search has rejected it; return the target.
 
     Raises InvalidTarget, which names the target (its `number` in the batch) and the tip, if a pose cannot be corrected.
     """

@@ -297,7 +297,7 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Turn joint 1 of an arm whose axes 1 and 4 are parallel to x [rad], and theta_4 back, so that the tip stays.
+    """For an arm whose axes 1 and 4 are parallel: turn joint 1 to the value x [rad] and theta_4 back, so that the tip stays.
 
     row (6,): the arm's angles, changed in place; p: its parameters; up: 1 or -1, as for `coupled`.
     """

@@ -39,8 +39,7 @@ from .reach import (
 
 SPREAD_LIFTS = 9  # number of values of the prismatic joint, in each feasible interval, at which branches are listed
 STEPS = 8  # number of Newton steps that correct a solution if the arm has the assumed geometry only approximately
-# Bits that say why some joint angle does not matter for the pose: axes 1 and 4 are parallel, the shoulder is on axis 6, or on axis
-# 7.
+# Bits that say why a joint angle does not matter for the pose: axes 1 and 4 are parallel, the shoulder is on axis 6, or axis 7.
 LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4
 
 
