@@ -12,9 +12,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-# Limit on the bytes of a message. The page sends numbers and short texts, and messages are buffered until complete.
+# Largest size [bytes] of a message that a page may send. It only sends numbers and short texts, and messages are held in memory
+# until complete.
 LARGEST = 2**20
-# These headers may occur only once in a request, because viser and the checks here read only one of each.
+# A request that has one of the headers ONCE twice is refused, because the checks might read one of them and the web server the
+# other.
 ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)
 # Messages of the web socket are not logged, because a port scan would fill the terminal with tracebacks.
@@ -24,7 +26,7 @@ _PATCHING = threading.Lock()
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only programs on this machine can reach a host address."""
+    """Return whether a host address is a loopback address, which only programs on this machine can reach."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -32,14 +34,14 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Return a random token (128 bits) for a page's address; without it in the address nothing is served."""
+    """Return a random token (128 bits) to be part of a page's address, so that nobody can guess the address."""
     return secrets.token_urlsafe(16)
 
 
 def below(path: str, token: str) -> str | None:
-    """Return the part of a request's path below /token, without its query, or None if it does not start with the token.
+    """Check the secret token at the beginning of a request's path; return the rest of the path, or None if the token is wrong.
 
-    The comparison takes constant time, so that it reveals nothing about the token.
+    The query is left out. The comparison takes constant time, so that it reveals nothing about the token.
     """
     word, slash, rest = path.partition("?")[0].removeprefix("/").partition("/")
     known = secrets.compare_digest(word.encode(errors="backslashreplace"), token.encode())
@@ -47,9 +49,10 @@ def below(path: str, token: str) -> str | None:
 
 
 def refused_request(headers: Any, host: str) -> str:
-    """Return why a request to the server is refused, '' if it is accepted.
+    """Return the reason for which a web request is refused (other site, other host name, doubled headers), or '' to accept it.
 
-    A browser sends the requesting page (Origin) and the host name it used (Host).
+    A browser names the site of the requesting page (header Origin) and the host name it used (header Host); host: the address at
+    which the page is served.
     """
     # The method that returns all headers of a name is get_list in tornado and get_all in websockets.
     every = getattr(headers, "get_list", None) or getattr(headers, "get_all", None)
@@ -58,7 +61,7 @@ def refused_request(headers: Any, host: str) -> str:
         return f"this request has more than one header {' and '.join(twice)}"
     asked = headers.get("Host", "")
     name = ""
-    # Two hosts in one header raise ValueError too, because no port is a number then.
+    # A Host header that is malformed or names two hosts raises ValueError, so `name` stays '' and the request is refused.
     with contextlib.suppress(ValueError):
         split = urlsplit(f"//{asked}")
         name = (split.hostname or "") if split.port is None or split.port else ""
@@ -99,7 +102,8 @@ def guarded(host: str, token: str) -> Iterator[None]:
                 LOG.info("unreadable message: %r", error)
                 closing = asyncio.create_task(connection.close(1007, "this is not a message of the panel's page"))
                 with contextlib.suppress(ConnectionClosed):
-                    while True:  # Pending messages would delay the closing frame, so they are read and dropped.
+                    # Waiting messages would delay the closing of the connection, so they are read and dropped.
+                    while True:
                         await connection.recv()
                 await closing
 

@@ -21,20 +21,20 @@ from .feed import ROOT
 from .plots import drawing, iterates
 from .scene_state import css
 
-# Colours of Okabe and Ito (2008), as in the plots.
+# the palette of Okabe and Ito (2008), which colour-blind people can tell apart; plots use it as well
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the paths of several tips
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the tips' paths, one for each tip in turn
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
-BETWEEN = 6  # frames between two iterates of a solve, so that the eye can follow
+BETWEEN = 6  # number of animation frames from one iteration of a solve to the next, so that the eye can follow
 OBSTACLE = (0.55, 0.58, 0.62)
 SLATE = (0.30, 0.34, 0.40)  # colour of target poses and of the start of a motion
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # largest number of frames of an animation; of a longer motion some frames are left out
-SECONDS = 12.0  # [s] duration of the animation of a motion without times
+MAX_FRAMES = 400  # largest number of frames of an animation; a longer motion is thinned out
+SECONDS = 12.0  # [s] duration of the animation of a path that has no times
 
 
 class ShownMotion(NamedTuple):
@@ -42,7 +42,7 @@ class ShownMotion(NamedTuple):
 
     q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the tip path, NaN where there is none, with
     name and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted;
-    lines: text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
+    lines: text shown on the page; collision: the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -129,12 +129,12 @@ def _much(value: float, unit: str) -> str:
 
 # ------------------------------------------------------------------------------------------------------------- the scene
 def numbered(word: str, k: int) -> str:
-    """Return the scene path of an object of tip k (from 0): the word alone for the first tip, with k + 1 for any other."""
+    """Return the name in the scene of an object of tip k: the word alone ("target") for tip 0, then "target2", "target3", ..."""
     return f"{word}{k + 1 if k else ''}"
 
 
 def thin_rows(count: int, most: int) -> np.ndarray:
-    """Return the indices of at most `most` (2 or more) of `count` rows, evenly spread, including the first and the last."""
+    """Choose at most `most` (2 or more) of `count` rows, evenly spread, with the first and the last; return their indices."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
@@ -149,9 +149,9 @@ def each_target(robot: Joints, target: Any) -> dict[str, Any]:
 
 
 def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None]:
-    """Return the configurations (N, n) [rad or m] of anything that a scene shows, and its motion if it has one.
+    """Return the configurations (N, n) [rad or m] in anything a user may want shown, and the ShownMotion if it is a motion.
 
-    Raises InvalidConfiguration for what does not fit the robot, InvalidOption if there is none.
+    Raises InvalidConfiguration for what does not fit the robot, InvalidOption if there is no configuration.
     """
     if what is None:
         raise InvalidOption(
@@ -163,7 +163,8 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
     rows = rows if many or np.ndim(rows) == 2 else [rows]
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
-    if rows is not what and len(rows) > 1:  # A result may have many rows, so only the first is checked.
+    # The rows of a result are valid, and may be many, so only the first is checked against the robot.
+    if rows is not what and len(rows) > 1:
         robot.check_q(rows[0])
         return np.array(rows, dtype=float), motion
     return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
@@ -189,7 +190,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 
 
 def draw_solve(scene: Any, result: Any) -> None:
-    """Animate the iterates of the attempt that found a Result with history, ending there.
+    """Draw how a Result with history was found: animate the robot through the iterations of the attempt that found it.
 
     The tip path and a ghost at the attempt's start are drawn, too, and the tip paths of the other attempts, thin and grey.
     """
@@ -250,21 +251,23 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # each piece ends where the next one starts
+        # Pieces of the tip path meet, except where the motion is interrupted.
+        last = stop if stop - 1 in breaks else stop + 1
         P = scene._world(points[start:last])
         scene._draw(f"{name}/{number}", tube(P, radius, BANDS[band[start]] if known.any() else ORANGE), P)
 
 
 # ------------------------------------------------------------------------------------------------------------- pictures
 def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
-    """Write a Window as a .png file of a size [pixels], or its animation as a .gif or .mp4 file of at most `most` pictures."""
+    """Write a 3-D scene (Window) as a .png file of a size [pixels], or its animation as .gif or .mp4 of at most `most` pictures."""
     from .picture import encoder, film, picture
 
-    with drawing():  # raises MissingExtra, which says what to install
+    with drawing():  # raises MissingExtra early, with what to install, if matplotlib is missing
         from PIL import Image
     file = as_output(path, "the picture", *((".gif", ".mp4") if most else (".png",)))
     kind, made = file.suffix.lower(), window.about["animation"]
-    coder = encoder() if kind == ".mp4" else ""  # raises MissingExtra before the pictures are made
+    # found first, so that MissingExtra is raised before many pictures are made
+    coder = encoder() if kind == ".mp4" else ""
     require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
     if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
@@ -284,7 +287,7 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
     lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
-    lasts[-1] = 1500.0  # [ms] the last frame is shown for longer
+    lasts[-1] = 1500.0  # [ms] how long the last picture of a film is shown
     if coder:
         write_whole(file, film(coder, frames, lasts))
         return file

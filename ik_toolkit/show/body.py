@@ -25,14 +25,14 @@ from ..solvers.solve import require_robot
 
 Triangles = tuple[np.ndarray, np.ndarray]  # vertices (N, 3) [m] and faces (M, 3)
 
-FARTHEST = 1e9  # [m] farthest coordinate drawn; pages compute in 32 bits and multiply lengths
-THINNEST = 1e-6  # [m] least radius of a stick
+FARTHEST = 1e9  # [m] largest coordinate that is drawn; pages multiply lengths in 32-bit numbers, which would overflow
+THINNEST = 1e-6  # [m] smallest radius of the sticks that stand for links without shapes
 MAX_SHAPES = 2_000  # largest number of drawn shapes of a robot; robots have up to 150
 COLORED = (".dae", ".obj", ".glb", ".gltf")  # mesh formats that can contain colours
 GREY = (0.70, 0.72, 0.75)
 STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
-SEEN = 1e-4  # [robot sizes, rad] parts at smaller distances and angles look as if they were in one place
-SMOOTH = np.radians(35.0)  # [rad] edges with a larger angle stay visible
+SEEN = 1e-4  # [robot sizes, rad] two copies of a part that are nearer than this look the same, so one is not drawn
+SMOOTH = np.radians(35.0)  # [rad] an edge where two faces meet at a larger angle is drawn as a sharp edge
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class DrawnShape:
 
 
 class ChainPoint(NamedTuple):
-    """A point of a robot: its joint in the model (0: the world), and its position (3,) [m] in the joint's frame."""
+    """A point fixed to a robot: number of the joint it moves with (0: the world), and place (3,) [m] in the joint's frame."""
 
     joint: int
     place: np.ndarray
 
 
 def chain_points(arm: Any) -> list[ChainPoint]:
-    """Return the points from the base of a Robot to its tip: the base, two for every joint in between, and the tip.
+    """Return the points of the line that shows a Robot as a stick figure: the base, two for every joint in between, and the tip.
 
     A joint has a point on its parent and one on its child link. They differ only for a prismatic joint, so that the distance of
     all other neighbours is constant. Joints that mimic others and locked ones are included.
@@ -69,7 +69,7 @@ def chain_points(arm: Any) -> list[ChainPoint]:
 
 
 def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
-    """Return the poses (njoints, 4, 4) [m] of all joints of the model in the base frame at q (n,) [rad or m], by Pinocchio.
+    """Return the poses (njoints, 4, 4) [m] of all joints of the Pinocchio model in the base frame at q (n,) [rad or m].
 
     Joints that mimic others and locked ones are included; index 0 is the world. All drawn parts are placed relative to these
     frames. data: the pin.Data to use, by default a new one.
@@ -81,7 +81,7 @@ def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
 
 
 def skeleton(arm: Any, q: np.ndarray) -> np.ndarray:
-    """Return base, joints and tip of a Robot at q (n,) [rad or m] as points (K, 3) [m] in the base frame."""
+    """Return the line through base, joints and tip of a Robot at q (n,) [rad or m], as points (K, 3) [m] in the base frame."""
     frames = joint_frames(arm, q)
     return np.array([frames[joint, :3, :3] @ place + frames[joint, :3, 3] for joint, place in chain_points(arm)])
 
@@ -117,7 +117,8 @@ class Body:
         self.model = robot.model
         self.data = self.model.createData()
         self.arms: Any = robot.arms
-        if importlib.util.find_spec("trimesh") is None:  # Meshes are read by another process.
+        # checked here, because the import happens in the separate process that reads the meshes
+        if importlib.util.find_spec("trimesh") is None:
             raise MissingExtra("trimesh", "view")
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
         if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
@@ -177,7 +178,7 @@ class Body:
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
-        if still and not len(stacked):  # the base has no drawn part, so the model's origin is used
+        if still and not len(stacked):  # If no drawn part is fixed, the box is that of the base's origin alone.
             stacked = (world @ self.T_world_base)[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
@@ -191,7 +192,8 @@ def _read(robot: Any) -> tuple[list[BodyPart], str]:
     except ModelError as error:
         return [], str(error)
     pieces = [_pieces(shape) for shape in shapes]
-    # A mesh that has only points and lines is left out. Only the placements of the geometry model are used.
+    # A mesh that has only points and lines is left out. The geometry model is built only to get the placements, so a small sphere
+    # stands for every shape.
     drawn = [(shape, own) for shape, own in zip(shapes, pieces, strict=True) if sum(len(one.faces) for one in own)]
     placed = geometry_model(robot.model, [shape for shape, _ in drawn], [coal.Sphere(1e-3)] * len(drawn))
     pairs = zip(drawn, placed.geometryObjects, strict=True)
@@ -252,7 +254,7 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
             key = start.joint, end.joint, *start.place, *end.place
             if link:
                 parts.setdefault(key, BodyPart(f"{name}_bar_{arm.tip}", (bar,), joint, at, end, r))
-            else:  # The rod of a prismatic joint is between the joint and a knob on the parent's link.
+            else:  # A prismatic joint is drawn as a rod that gets longer, from a knob on the parent link to the joint.
                 foot = min(start, end)
                 parts.setdefault(key, BodyPart(f"{name}_stroke", (rod,), start.joint, at, end, 0.6 * r))
                 at = pin.SE3(np.eye(3), foot.place)
@@ -261,7 +263,7 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
 
 
 def grid_cell(radius: float) -> float:
-    """Return the cell width [m] of a grid with about four cells in `radius` [m]: 1, 2 or 5 times a power of ten."""
+    """Return a round cell width [m] (1, 2 or 5 times a power of ten) for a floor grid with about four cells in `radius` [m]."""
     unit = 10.0 ** np.floor(np.log10(radius / 4.0))
     return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
 
@@ -279,7 +281,8 @@ def primitive(kind: str, sizes: Sequence[float]) -> Triangles:
     """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
     if kind == "box":
         corners = np.array([*itertools.product((-0.5, 0.5), repeat=3)]) * sizes
-        # Each side has its corners in order; 1, 2 and 4 are added to a corner's number along z, y and x.
+        # Corners of a box are numbered 0 to 7: 1 is added for the upper end along z, 2 along y, 4 along x. Each row has the corners
+        # of one side in order.
         sides = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
         return split_sharp_edges(corners, np.vstack([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]]))
     radius, half = sizes[0], 0.5 * sizes[1] if len(sizes) > 1 else 0.0
@@ -293,7 +296,7 @@ def primitive(kind: str, sizes: Sequence[float]) -> Triangles:
 
 
 def revolved(profile: Any, sections: int) -> Triangles:
-    """Return vertices and faces of a surface of revolution about z.
+    """Return vertices and faces of a surface of revolution about the z axis, for cylinders, cones and rings.
 
     profile: points (K, 2) [m] of radius and height, with the inside on their left; a closed line or one that ends on the axis.
     """
@@ -301,7 +304,7 @@ def revolved(profile: Any, sections: int) -> Triangles:
     r, z = np.repeat(line[:, :, None], sections, axis=2).transpose(1, 0, 2)
     vertices = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
     number = np.arange(len(vertices)).reshape(len(line), sections)
-    # a point on the axis makes one vertex, any other a ring of them
+    # A point of the profile on the axis becomes one vertex, any other a ring of vertices.
     number[line[:, 0] == 0.0] = number[line[:, 0] == 0.0, :1]
     after = np.roll(number, -1, axis=1)
     faces = np.stack([number[:-1], after[:-1], after[1:], number[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 3)
@@ -310,22 +313,22 @@ def revolved(profile: Any, sections: int) -> Triangles:
 
 
 def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """Split vertices along sharp edges, so that a viewer's averaged normals keep those edges visible.
+    """Split the vertices of a mesh along sharp edges, so that a viewer draws these edges as sharp.
 
-    Vertices at the same place are first made one. Corners of two faces stay one vertex if the faces meet there at a flat enough
-    edge, which belongs to no third face.
+    Viewers average the normals of the faces at a vertex, which rounds an edge off. So two faces share a vertex only if the edge
+    at which they meet there is flat enough (SMOOTH) and belongs to no third face. Vertices at the same place are first made one.
     """
     vertices = np.asarray(vertices, dtype=float)
     order, number = np.lexsort(vertices.T), np.empty(len(vertices), dtype=int)
     new = (np.diff(vertices[order], axis=0) != 0.0).any(axis=1)
     number[order] = np.concatenate([[0], np.cumsum(new)])[: len(order)]
-    corner = number[np.ravel(faces)]  # the vertex at each corner of each face
+    corner = number[np.ravel(faces)]  # number of the vertex at each corner of each face (3 M,)
     a, b, c = vertices[np.ravel(faces)].reshape(-1, 3, 3).transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
     here = np.arange(len(corner))
-    there = here - here % 3 + (here + 1) % 3  # An edge of a face goes from corner `here` to `there`.
+    there = here - here % 3 + (here + 1) % 3  # Each edge of a face begins at corner `here` and ends at corner `there`.
     low, high = np.minimum(corner, corner[there]), np.maximum(corner, corner[there])
     edge = low * len(vertices) + high
     order = np.argsort(edge, kind="stable")
@@ -338,7 +341,8 @@ def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     left = np.concatenate([one, there[one]])
     right = np.concatenate([np.where(along, other, there[other]), np.where(along, there[other], other)])
     label, before = here, None
-    while before is None or (label != before).any():  # Corners that become one vertex take the lowest of their numbers.
+    # Corners that share a vertex all get the lowest of their numbers; repeated until nothing changes.
+    while before is None or (label != before).any():
         before, label = label, label.copy()
         np.minimum.at(label, left, before[right])
         np.minimum.at(label, right, before[left])
@@ -349,14 +353,15 @@ def split_sharp_edges(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
 
 
 def mapped(shape: Triangles, T: np.ndarray) -> Triangles:
-    """Return triangles at a pose or under another affine map (4, 4)."""
+    """Return triangles (vertices and faces) moved by a pose or another affine map T (4, 4)."""
     return (shape[0] @ T[:3, :3].T + T[:3, 3]).astype(np.float32), shape[1]
 
 
 def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
     """Return the matrix (4, 4) that stretches a shape of unit length and radius from one point (3,) [m] to another."""
     way = end - start
-    length, least = float(np.linalg.norm(way)), 1e-9 * thick  # A viewer cannot take the rotation of a flat matrix.
+    # The stretch is never quite 0, because a viewer cannot extract a rotation from a singular matrix.
+    length, least = float(np.linalg.norm(way)), 1e-9 * thick
     z, length = (way / length, length) if length > least else (np.array([0.0, 0.0, 1.0]), least)
     across = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     across /= np.linalg.norm(across)
@@ -366,7 +371,7 @@ def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
 
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
-    """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
+    """Return a line through points (N, 3) [m] as a tube of triangles, because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
@@ -376,14 +381,16 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
     across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(P)):  # parallel transport of `across`, so that the tube does not twist
+    # `across` is moved from point to point by parallel transport, so that the tube does not twist.
+    for k in range(1, len(P)):
         side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
         size = np.linalg.norm(side)
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
     angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3) points
+    # (10, N, 3) offsets from each point of the line to the ten vertices around it
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third
     vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 
 ROOT = "/meshcat/"
-MOST_GONE = 1000  # number of deleted paths remembered for a page that does not read its messages
+MOST_GONE = 1000  # largest number of deletions kept for a page that does not fetch its updates
 
 
 def meshcat_module() -> Any:
@@ -34,16 +34,16 @@ def command_bytes(command: dict[str, Any]) -> bytes:
 
 
 def as_json(about: dict[str, Any]) -> str:
-    """Write text, camera and animation of a page as JSON; arrays become the base64 text of their numbers (float32)."""
+    """Return text, camera and animation of a page as JSON; arrays become the base64 text of their numbers (float32)."""
     return json.dumps(about, default=lambda array: base64.b64encode(array.astype("<f4").tobytes()).decode())
 
 
 class Feed:
-    """Updates not yet sent to one open page.
+    """Collects what has changed in a scene since one open page was last brought up to date.
 
-    It stores which paths changed, not how often, so that nothing accumulates for a page that does not read. At first everything
-    is unsent; `wake` is called when there is news again after a `take`. The methods `changed`, `deleted` and `told` may be called
-    only with the window's lock held.
+    It stores which objects (paths) changed, not how often, so that memory does not grow for a page that does not read. At first
+    everything is unsent; `wake` is called at the first change after a `take`. The methods `changed`, `deleted` and `told` may be
+    called only with the window's lock held.
     """
 
     def __init__(self, window: Any, wake: Callable[[], None]) -> None:
@@ -60,25 +60,26 @@ class Feed:
             self._wake()
 
     def changed(self, path: str) -> None:
-        """Remember to send what is drawn at a path and its pose, because one of them has changed."""
+        """Note that what is drawn at a path, or its pose, has changed, so that `take` sends both."""
         self._paths.add(path)
         self._news()
 
     def deleted(self, path: str) -> None:
-        """Remember to delete a path and everything below it from the page."""
+        """Note that a path and everything below it were deleted, so that `take` deletes them from the page."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
-        if len(self._gone) > MOST_GONE:  # after too many deletions the page is cleared and drawn anew
+        # Rather than a long list of deletions, the page gets one that clears it, and is drawn anew.
+        if len(self._gone) > MOST_GONE:
             self._gone, self._paths = {""}, self.window.paths
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
-        """Remember to send the parts of the page's text, camera or animation that have changed."""
+        """Note that parts of the page's text, camera or animation have changed, so that `take` returns them."""
         self._about.update(about)
         self._news()
 
     def take(self) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Return the commands that bring the page up to date, and what has changed of its text and camera."""
+        """Return what has changed since the last call: the commands that draw it, and new texts, camera or animation."""
         with self.window.lock:
             self._awake = False
             gone, paths, about = self._gone, self._paths, self._about
@@ -88,9 +89,9 @@ class Feed:
 
 
 class Guest:
-    """Draws the scene in a viewer of the caller as well: a meshcat Visualizer, or Pinocchio's MeshcatVisualizer.
+    """Draws a scene also in a viewer that the user has opened: a meshcat Visualizer, or Pinocchio's MeshcatVisualizer.
 
-    In the latter, the robot that is already loaded is moved, not drawn again.
+    In Pinocchio's viewer the robot is already loaded, so it is only moved.
     """
 
     def __init__(self, window: Any, viewer: Any, parts: Iterable[str]) -> None:
@@ -114,7 +115,7 @@ class Guest:
         self.update()
 
     def update(self) -> None:
-        """Send what has changed in the scene, but no title, text, legend or camera."""
+        """Send to the user's viewer what has changed in the scene, except texts, legend and camera."""
         commands, about = self._feed.take()
         for command in commands:
             self._send(command)
@@ -123,7 +124,8 @@ class Guest:
 
     def _send(self, command: dict[str, Any]) -> None:
         path = command["path"].removeprefix(ROOT)
-        if command["type"] == "copy":  # only this package's own page understands this command
+        # The user's viewer does not know the command "copy", so the shape itself is sent in the other colour.
+        if command["type"] == "copy":
             made = self._window.drawing(command["source"].removeprefix(ROOT))["object"]
             made["materials"][0] |= {"color": command["color"], "opacity": command["opacity"], "transparent": True}
             command = {"type": "set_object", "object": made}

@@ -17,14 +17,18 @@ from .scene_state import css
 
 
 class Interaction:
-    """Solvers that follow the target of a live scene, each from its last solution; `results`: the last results, by label."""
+    """One or several solvers that solve again whenever the target of a live scene is dragged, each from its last solution.
+
+    results: the last Result of each, by label.
+    """
 
     def __init__(self, scene: Scene, solvers: dict[str, Solver], target: Any, q0: np.ndarray) -> None:
         """Solve once for the first target, and then whenever the target is dragged."""
         self.scene, self.solvers, self.q0 = scene, solvers, q0
         self.results: dict[str, Result] = {}
         for one in solvers.values():
-            one(target, q0)  # compiles, so that the displayed time does not include it
+            # a first call that compiles, so that the displayed time of later calls does not include compiling
+            one(target, q0)
         self.follow(target)
         scene.on_drag(self.follow)
         eye, to = np.array(scene.window.about["camera"][:2])

@@ -25,17 +25,19 @@ from .body import THINNEST, Body, DrawnShape, grid_cell, primitive, revolved
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3) and faces (M, 3)
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # The scripts of the page, each after those that it imports.
-# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on a page.
+# names of the page's JavaScript modules, in an order in which each comes after those that it imports
+MODULES = ("robot", "solve", "draw", "hand", "main")
+# Largest number of triangles in a page. The meshes of a robot may have 100 times as many, and look the same simplified.
 MOST_FACES = 40_000
-# Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
+# Meshes are simplified by merging vertices in the same cell of a grid. Cells are at first FINEST times the robot's size, and grow
+# until the triangles are few enough.
 FINEST = 1 / 250
-GROW = 1.1  # The cell size grows by at least this factor in each round.
-STEPS = 65_535  # vertex coordinates are 16-bit numbers over the size of a shape
+GROW = 1.1  # smallest factor by which the cells in which vertices merge grow in each round
+STEPS = 65_535  # vertex coordinates are stored as 16-bit numbers, from 0 to this at the far side of a shape
 
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
-    """Write the HTML page of a robot whose drawn parts are `body`; it needs no network."""
+    """Return the live HTML page of a robot, with its solver inside; it needs no network. body: the drawn parts of the robot."""
     data, blob = describe_robot(robot, body)
     files = importlib.resources.files("ik_toolkit.show") / "page"
     code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
@@ -51,21 +53,21 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    # One pass replaces all placeholders @NAME@, so that inserted text is not searched for them.
+    # All placeholders @NAME@ are replaced in one pass, so that an inserted text that contains one is left alone.
     return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)
 
 
 def joined(module: str) -> str:
-    """Return the text of a module without its imports and exports, to be joined into one script."""
+    """Return the text of a JavaScript module without its imports and exports, so that several can be joined into one script."""
     return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
 
 
 def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """Return what the page's scripts must know of a robot (joints, nodes, tips, parts), and the bytes of all triangles."""
+    """Return a robot's data for the live page: a dict (joints, nodes, tips, parts) for JSON, and the bytes of all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
     size = float(np.linalg.norm(bounds[1] - bounds[0]))
-    # height of the floor, width of a cell and of the floor [m]
+    # z: height of the floor; cell: width of a cell of its grid; wide: width of the floor [m]
     floor = {"z": body.floor, "cell": grid_cell(size), "wide": 2.5 * size}
 
     def at(joint: int, T: pin.SE3) -> dict[str, Any]:
@@ -89,7 +91,7 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     told = {
         "reach": robot.reach,
         "room": {"size": size, "centre": bounds.mean(axis=0).tolist(), "floor": floor},
-        # a missing limit becomes null in JSON
+        # `plain` turns a missing (infinite) limit into null, because JSON has no infinity
         "joints": [plain(dict(zip(keys, column, strict=True))) for column in zip(*values, strict=True)],
         "nodes": nodes,
         "base": at(base.parentJoint, base.placement),
@@ -101,9 +103,10 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
-    """Return the joints that move with q (nodes), parents first, and each model joint's node and pose in that node.
+    """Return the moving joints (nodes) for the page's kinematics, parents first, and each model joint's node and pose in it.
 
-    A joint's pose in its parent is its pose at 0 times the exponential of its screw; fixed joints are merged into the poses.
+    A node's pose in its parent is its pose at 0 times the exponential of its screw. Fixed joints are no nodes; their poses are
+    merged into those of the nodes.
     """
     model = robot.model
     data, zero = model.createData(), robot._filled(np.zeros(robot.n))
@@ -127,12 +130,12 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
 
 
 def pose_rows(T: pin.SE3) -> list[float]:
-    """Return the 12 numbers of [R | p] of a pose, row by row."""
+    """Return a pose as 12 numbers, the rows of the 3 x 4 matrix [R | p], for the page's scripts."""
     return T.homogeneous[:3].ravel().tolist()
 
 
 def handles() -> dict[str, DrawnShape]:
-    """Return the shapes for targets and the floor, of unit height and radius, upright at the origin."""
+    """Return the shapes of which a page draws targets and the floor, by name: of unit height and radius, upright at the origin."""
     angle = np.linspace(0.0, 2.0 * np.pi, 11)
     meshes = {
         "ball": primitive("sphere", (1.0,)),
@@ -147,7 +150,10 @@ def handles() -> dict[str, DrawnShape]:
 
 
 def thin(shapes: Sequence[DrawnShape], size: float, most: int = MOST_FACES) -> list[Mesh]:
-    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most `most` faces together."""
+    """Simplify the meshes of a robot until all shapes together have at most `most` triangles; size: that of the robot [m].
+
+    Returns vertices, normals and faces of each shape.
+    """
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
     while (count := sum(len(faces) for _, _, faces in meshes)) > most:
@@ -159,7 +165,10 @@ def thin(shapes: Sequence[DrawnShape], size: float, most: int = MOST_FACES) -> l
 
 
 def packed(shapes: Sequence[DrawnShape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
-    """Return the page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
+    """Return shapes as a page stores them: a description of each, and the bytes of all vertices, normals and faces.
+
+    Coordinates have 16 bits, normals 8, indices 32.
+    """
     told, blob = [], []
     for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
         low = vertices.min(axis=0) if len(vertices) else np.zeros(3)
@@ -186,7 +195,10 @@ def normals(shape: DrawnShape) -> np.ndarray:
 
 
 def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:
-    """Merge vertices in the same cell [m] if their normals point the same way, so that edges stay sharp."""
+    """Simplify a mesh: merge vertices in the same cell of a grid of width `cell` [m] if their normals point the same way.
+
+    Edges between sides that face different ways so stay sharp.
+    """
     place = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     side = place.max(axis=0) + 1
     _, box = np.unique((place[:, 0] * side[1] + place[:, 1]) * side[2] + place[:, 2], return_inverse=True)

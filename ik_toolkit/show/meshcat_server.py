@@ -25,7 +25,7 @@ from .body import DrawnShape
 from .feed import ROOT, Feed, as_json, command_bytes, meshcat_module
 
 HOST = "127.0.0.1"
-SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
+SHADE = 0.86  # factor on all colours, because under the viewer's lights pure white shows no shading
 
 
 def _number(color: tuple[float, ...]) -> int:
@@ -34,17 +34,17 @@ def _number(color: tuple[float, ...]) -> int:
 
 
 def compressed(data: bytes) -> str:
-    """Return data compressed by gzip, as base64 text."""
+    """Compress bytes by gzip and return them as base64 text, to be put into a page."""
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
 def framed(commands: list[dict[str, Any]]) -> bytes:
-    """Pack and concatenate viewer commands, each preceded by its length."""
+    """Return viewer commands as one byte string, each command preceded by its length (4 bytes)."""
     return b"".join(len(data).to_bytes(4, "little") + data for data in map(command_bytes, commands))
 
 
 class Cloud(NamedTuple):
-    """Points (N, 3) [m] with colors (N, 3) in 0..1, and their size [m]."""
+    """A point cloud to draw: points (N, 3) [m] with colors (N, 3) in 0..1, drawn with a diameter `size` [m]."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -60,7 +60,7 @@ class Copy(NamedTuple):
 
 
 class Window:
-    """Contents of a scene by path: what is drawn, transforms (4, 4), and the page's text and camera (`about`)."""
+    """The contents of a 3-D scene, from which pages are made: shapes and transforms (4, 4) by path, texts and camera (`about`)."""
 
     def __init__(self) -> None:
         """Start with an empty scene."""
@@ -85,11 +85,11 @@ class Window:
         self._keep(self.copies if isinstance(what, Copy) else self.objects, path, what)
 
     def place(self, path: str, T: np.ndarray) -> None:
-        """Set the pose (4, 4) [m] of what is at a path, in the frame of the path above it."""
+        """Set the pose (4, 4) [m] of the object at a path, in the frame of the path above it ("robot" for "robot/hand")."""
         self._keep(self.transforms, path, np.array(T, dtype=float))
 
     def pose(self, path: str) -> np.ndarray:
-        """Return the pose (4, 4) [m] of a path in the world: the product of the poses of all paths above it and its own."""
+        """Return the world pose (4, 4) [m] of the object at a path: the product of the poses of all paths above it and its own."""
         words, T = path.split("/"), np.eye(4)
         for k in range(len(words)):
             T = T @ self.transforms.get("/".join(words[: k + 1]), np.eye(4))
@@ -105,19 +105,22 @@ class Window:
                 feed.deleted(path)
 
     def say(self, **about: Any) -> None:
-        """Change title, lines, legend, names of frames, camera or animation of the page."""
+        """Change texts of the page (title, lines, legend, names of frames), its camera or its animation, given by keyword."""
         with self.lock:
             self.about.update(about)
             for feed in self.feeds:
                 feed.told(about)
 
     def animate(self, paths: Sequence[str], poses: np.ndarray, labels: Sequence[str], fps: float, first: int) -> None:
-        """Let paths go through poses (F, paths, 3 or 4, 4) [m], with a label for each frame; frame number `first` is shown."""
+        """Set the page's animation: objects at `paths` go through poses (F, paths, 3 or 4, 4) [m], with a label for each frame.
+
+        fps: frames per second; first: number of the frame that is shown at first.
+        """
         made = {"paths": [ROOT + path for path in paths], "count": len(poses), "first": first}
         self.say(animation={**made, "fps": fps, "labels": labels, "data": poses[:, :, :3]})
 
     def drawing(self, path: str) -> dict[str, Any]:
-        """Return the meshcat command that draws what is at a path."""
+        """Return the meshcat command that draws the shape or point cloud at a path."""
         g, drawn = meshcat_module().geometry, self.objects[path]
         if isinstance(drawn, Cloud):
             cloud = g.PointsGeometry(drawn.points.T.astype(np.float32), drawn.colors.T.astype(np.float32))
@@ -134,7 +137,7 @@ class Window:
         return {*self.objects, *self.copies, *self.transforms}
 
     def snapshot(self, paths: Container[str]) -> list[dict[str, Any]]:
-        """Return the commands, in order, that draw what is at some paths."""
+        """Return the viewer commands that draw and place the objects at some paths, in the order in which they must be sent."""
         with self.lock:
             drawn = [self.drawing(path) for path in self.objects if path in paths]
             for path, (source, color, opacity) in self.copies.items():
@@ -150,7 +153,7 @@ class Window:
     def _page(self, body: str) -> str:
         files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
-        # The title is replaced last, so that a robot's name cannot contain a word that is replaced.
+        # The title is inserted last, because a robot's name might contain the other placeholder.
         return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
 
     def html(self) -> str:
@@ -173,7 +176,7 @@ class Window:
 
 
 def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
-    """Write the output of `html` to a file and return its path.
+    """Write the scene as a self-contained page (see `html`) to a file; return the path of the file.
 
     Raises InvalidOption if the name does not end in .html.
     """
@@ -183,13 +186,13 @@ def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
 
 
 def viewer_script() -> bytes:
-    """Return the viewer script of the meshcat package, which is one file without external addresses."""
+    """Return the JavaScript of the meshcat viewer, from the package meshcat; it loads nothing from the network."""
     meshcat_module()
     return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
 
 
 class Server:
-    """Serves one window from a daemon thread: page, script and a web socket below an unguessable path.
+    """A web server, in a thread of its own, that shows one scene live: page, script and a web socket below an unguessable path.
 
     It is bound to 127.0.0.1 only; requests from other sites are refused, and nothing is served without the token. The
     thread ends with the process, even if that is killed.
@@ -272,7 +275,7 @@ def handlers(window: Window, token: str) -> tuple[Any, Any, Any]:
                     news.clear()
                     commands, about = self.feed.take()
                     for command in commands:
-                        # The call waits until the page can take the message.
+                        # waits until the page has taken the message, so that messages do not pile up
                         await self.write_message(command_bytes(command), binary=True)
                     if about:
                         await self.write_message(as_json(about))

@@ -30,20 +30,21 @@ from .meshcat_server import Window, compressed, framed, viewer_script
 from .picture import picture, shapes_of
 from .scene_state import SceneState
 
-# by the text of a part that cells share, the cell of this kernel's notebook that contains it
+# for each text that several cells share (viewer script, meshes of a robot): the cell of the notebook that contains it
 _standing: dict[str, Any] = {}
 
 
 class InCell(SceneState):
-    """A scene in the cells of a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
+    """A scene that notebook cells can display; it moves there when it changes, and tells the kernel about dragged targets."""
 
     channel: "Channel | None" = None
 
     def on_drag(self, call: Callable[[Any], Any]) -> None:
-        """Let the targets be dragged in the cells of a live scene; `call` is called with the new targets.
+        """Make the targets of a live scene draggable in its notebook cells; `call` is called with the new targets.
 
-        They are a pose (4, 4) or a position (3,) [m] in the base frame, for several tips a dict by tip. Drag the ball in the plane
-        of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn the target.
+        The new target is a pose (4, 4) or a position (3,) [m] in the base frame, for several tips a dict of these by tip. Drag
+        the ball in the plane of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn the
+        target.
         """
         if not callable(call):
             raise InvalidOption(f"on_drag takes a function of the new target, not {call!r:.60}")
@@ -71,11 +72,12 @@ class InCell(SceneState):
                 targets[tip] = T if grips[one] else T[:3, 3]
         try:
             self._call(self.robot.for_tips(targets))
-        except Exception as error:  # Only the cell can show an error of the user's function.
+        # The user's function runs in a callback, where an error would go unseen, so the cell shows it.
+        except Exception as error:
             self.say(f"{type(error).__name__}: {error}")
 
     def connect(self) -> None:
-        """Keep the cells that show the scene up to date; if that is not possible, the scene stays still and its text says why."""
+        """Open the connection that keeps cells showing the scene up to date; if that fails, a text in the scene says why."""
         if _shell() is None:
             return
         try:
@@ -137,10 +139,10 @@ def _shell() -> Any:
 
 
 def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) -> dict[str, str]:
-    """Return the outputs of a cell for a Window: text/html, image/png (with matplotlib) and text/plain. The camera must be set."""
+    """Return what a notebook cell displays for a scene: text/html, image/png (with matplotlib) and text/plain."""
     robots: dict[str, dict[str, Any]] = {}
     for path, drawn in window.objects.items():
-        if path.count("/") > 1:  # a path ROBOT/PART/NUMBER is a piece of a robot
+        if path.count("/") > 1:  # only the pieces of a robot have paths with two slashes, ROBOT/PART/NUMBER
             robots.setdefault(path.partition("/")[0], {})[path] = drawn
     rest = window.paths.difference(*robots.values())
     with window.lock:
@@ -218,7 +220,7 @@ def _short(about: dict[str, Any]) -> dict[str, Any]:
 
 
 class Channel:
-    """Keeps the cells that show a Window up to date over the connection of the kernel, and passes on dragged targets.
+    """The connection between a scene in the kernel and the notebook cells that show it: sends changes, receives dragged targets.
 
     An invisible widget (anywidget) carries the messages.
     """
@@ -232,17 +234,17 @@ class Channel:
         self.widget, self.handle, self.news = connection(self.id), None, threading.Event()
         self.since, self.feed = Feed(window, lambda: None), Feed(window, self.news.set)
         self.widget.on_msg(self._heard)
-        self.feed.take()  # The present contents are written into the cell, so they need not be sent.
+        self.feed.take()  # The first cell gets the present contents as HTML, so only later changes are sent.
         threading.Thread(target=self._run, daemon=True, name="ik scene channel").start()
 
     def shown(self) -> None:
-        """Note that a cell has been given all contents of the scene, so that only later changes are sent."""
+        """Note that a cell now shows the whole scene, so that only later changes are sent to it."""
         self.since.take()
         self.feed.take()
         self.window.feeds |= {self.since, self.feed}
 
     def display(self) -> None:
-        """Display the invisible widget, which opens the connection in a page; it leaves nothing in the saved notebook."""
+        """Display an invisible widget that connects the page with the kernel; it leaves nothing in the saved notebook."""
         from IPython.display import display
 
         view = {"version_major": 2, "version_minor": 0, "model_id": self.widget.model_id}
@@ -275,7 +277,7 @@ class Channel:
 
 
 def connection(scene: str) -> Any:
-    """Return a widget that connects the cells of the scene of this name with the kernel. Raises MissingExtra."""
+    """Return an invisible widget through which the cells that show a scene (its id) talk to the kernel. Raises MissingExtra."""
     try:
         import anywidget
         import traitlets

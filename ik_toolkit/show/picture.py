@@ -34,7 +34,7 @@ class _Layer(NamedTuple):
 class _Pencil:
     """Draws on an image; sizes of text are in points, all other lengths in its pixels."""
 
-    sharp = 2  # The image is so many times larger than the picture made of it, for smooth edges.
+    sharp = 2  # The image is drawn this many times larger than the final picture, which smooths edges.
 
     def __init__(self, size: tuple[int, int]) -> None:
         """Make an image (W, H). Raises MissingExtra without matplotlib, whose font is used, and with which Pillow comes."""
@@ -48,7 +48,7 @@ class _Pencil:
         self.draw = ImageDraw.Draw(self.image)
 
     def blend(self, color: np.ndarray, cover: np.ndarray) -> None:
-        """Draw an image (H * W, 3) in 0..1 over the picture; its colours are already multiplied by its opacity `cover` (H * W,)."""
+        """Draw pixels over the picture: colours (H * W, 3) in 0..1, already multiplied by their opacity `cover` (H * W,)."""
         data = np.array(self.image).reshape(-1, 3)
         at = np.flatnonzero(cover)
         data[at] = np.round(255 * color[at] + (1.0 - cover[at, None]) * data[at])
@@ -56,24 +56,26 @@ class _Pencil:
 
     def ball(self, x: float, y: float, radius: float, fill: str) -> None:
         """Draw a disc around pixel x, y with a radius [px], in a CSS colour."""
-        radius = min(max(radius - 0.5, 0.5), self.image.width)  # Pillow adds the pixel in the middle.
+        # half a pixel less, because Pillow adds the pixel in the middle
+        radius = min(max(radius - 0.5, 0.5), self.image.width)
         self.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill)
 
     def text(
         self, x: float, y: float, text: str, points: float, fill: str = "black", at: str = "lm", bold: bool = False
     ) -> float:
-        """Write text and return its width; `at` says which of its points (Pillow's anchors) is at x, y."""
+        """Write text at pixel x, y and return its width; at: which point of the text is put there, as Pillow names anchors."""
         font = self.load(str(self.fonts / f"DejaVuSans{'-Bold' if bold else ''}.ttf"), points / 0.72 * self.sharp)
         self.draw.text((x, y), text, fill, font, at)
         return font.getlength(text.replace("\n", " "))
 
 
 def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
-    """Draw a Window (whose camera is set) as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
+    """Render a 3-D scene (Window, with its camera set) as the bytes of a PNG of a size [pixels]. Raises MissingExtra."""
     sharp = _Pencil.sharp
     W, H = sharp * size[0], sharp * size[1]
     pencil, curves = _Pencil((W, H)), window.about.get("curves")
-    camera = _Camera(window.about["camera"], W * (0.7 if curves else 1.0), H)  # The chart is beside the scene.
+    # The scene leaves room for the chart of errors at the right.
+    camera = _Camera(window.about["camera"], W * (0.7 if curves else 1.0), H)
     for line in _grid(window.about["camera"]):
         seen = camera.project(line)
         if (seen[:, 2] > 0).all() and (np.abs(seen) < 100 * W).all():
@@ -83,14 +85,16 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
     def inside(points: np.ndarray) -> Iterator[tuple[int, float, float, float]]:
         seen = camera.project(points)
         for k in np.flatnonzero((seen > 0).all(axis=1) & (seen[:, :2] < (W, H)).all(axis=1)):
-            yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])  # [pixels per metre] at this point
+            # index, x, y, and how many pixels a metre is at that distance
+            yield int(k), *seen[k, :2].tolist(), float(camera.scale * seen[k, 2])
 
     for path, cloud in window.objects.items():
         if isinstance(cloud, Cloud):
             T, words = window.pose(path), [css(color) for color in cloud.colors]
             for k, x, y, scale in inside(cloud.points @ T[:3, :3].T + T[:3, 3]):
                 pencil.ball(x, y, 0.5 * cloud.size * scale, words[k])
-    for grip in window.about.get("drag", []):  # As in the page, the robot does not hide a ball to drag.
+    # The ball by which a target is dragged is drawn last, so that the robot does not hide it.
+    for grip in window.about.get("drag", []):
         for _, x, y, scale in () if grip["turns"] else inside(window.pose(grip["name"])[None, :3, 3]):
             pencil.ball(x, y, grip["size"] * scale, css(grip["color"]))
     for path, text, down in window.about["names"]:
@@ -99,7 +103,7 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
     _words(pencil, window.about)
     if curves:
         _chart(pencil, curves)
-    from PIL import Image  # comes with matplotlib
+    from PIL import Image  # Pillow is installed with matplotlib
 
     whole, packed = pencil.image.reduce(sharp), io.BytesIO()
     whole.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
@@ -125,7 +129,7 @@ class _Camera:
         right = np.cross((0.0, 0.0, 1.0) if abs(back[2]) < 0.9999 else (0.0, 1.0, 0.0), back)
         right /= np.linalg.norm(right)
         self.eye, self.turned = eye, np.array([right, np.cross(back, right), back])
-        # The viewer's picture is 75 degrees high.
+        # The meshcat viewer's camera sees 75 degrees from top to bottom, so half the height is at 37.5 degrees.
         self.scale, self.middle = 0.5 * height / np.tan(np.radians(37.5)), (0.5 * width, 0.5 * height)
 
     def project(self, points: np.ndarray) -> np.ndarray:
@@ -145,7 +149,7 @@ def _filled(window: Window, camera: _Camera, W: int, H: int) -> tuple[np.ndarray
     cover = (near > 0).astype(float)
     for group in groups.values():
         layer = _layer(group, camera, W, H)
-        # The tolerance hides surfaces that coincide with a solid one.
+        # A translucent surface must be nearer by a little, so that one which coincides with a solid surface is hidden.
         at = np.flatnonzero(layer.near > 1.002 * near)
         share = group[0][0].opacity
         color[at] = share * layer.color[at] + (1.0 - share) * color[at]
@@ -155,7 +159,7 @@ def _filled(window: Window, camera: _Camera, W: int, H: int) -> tuple[np.ndarray
 
 def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, W: int, H: int) -> _Layer:
     """Render the triangles of shapes at their poses (4, 4); for each pixel the nearest one is visible."""
-    light_from = np.array((-0.35, 0.55, 0.76))  # in camera axes: right, up, towards the eye
+    light_from = np.array((-0.35, 0.55, 0.76))  # direction of the light in camera axes: right, up, towards the eye
     near, owner = np.zeros(H * W), np.full(H * W, -1)
     corners, tints = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
     for shape, T in shapes:
@@ -208,11 +212,11 @@ def _covered(P: np.ndarray, shares: np.ndarray, W: int, H: int) -> Iterator[tupl
     left, right = np.zeros(len(owner)), np.full(len(owner), float(W))
     for a, b, c in np.moveaxis(shares[:, owner], 2, 1):
         with np.errstate(divide="ignore", invalid="ignore"):
-            ends = -(a + c * (y + 0.5)) / b  # NaN for a side that is parallel to the row and therefore ends nothing
+            ends = -(a + c * (y + 0.5)) / b  # A side parallel to the row gives NaN, which `fmax` and `fmin` ignore.
         left, right = np.fmax(left, np.where(b > 0, ends, 0.0)), np.fmin(right, np.where(b < 0, ends, W))
     start = np.clip(np.ceil(left - 0.5), 0, W).astype(int)
     count = np.maximum(np.clip(np.ceil(right - 0.5), 0, W).astype(int) - start, 0)
-    # The rows are divided into chunks, which bounds the memory.
+    # Rows of pixels are handled in chunks of some two million pixels, to limit the memory.
     first = np.searchsorted(np.cumsum(count), np.arange(0, count.sum(), 2_000_000))
     for chunk in np.split(np.arange(len(count)), np.unique(first)[1:]):
         row, x = _counted(count[chunk])
@@ -257,7 +261,7 @@ def _chart(pencil: _Pencil, curves: Any) -> None:
     from PIL import Image
 
     (W, H), stream = pencil.image.size, io.BytesIO()
-    scale = W / 7.6  # pixels of an inch
+    scale = W / 7.6  # pixels per inch of the chart, if the whole picture is 7.6 inches wide
     with charts(1, 1, (0.3 * W / scale, 0.45 * H / scale)) as (figure, axis):
         for name, color, errors, _ in curves:
             steps, left = np.transpose(errors)
@@ -270,12 +274,12 @@ def _chart(pencil: _Pencil, curves: Any) -> None:
 
 # ------------------------------------------------------------------------------------------------------------------ films
 def encoder() -> str:
-    """Return the path of ffmpeg, that of the package imageio-ffmpeg or one on the PATH. Raises MissingExtra."""
+    """Return the path of the program ffmpeg: that of the package imageio-ffmpeg or one on the PATH. Raises MissingExtra."""
     try:
         import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
         return imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):  # RuntimeError: the package is there without its program
+    except (ImportError, RuntimeError):  # RuntimeError means that the package is installed but has no program
         found = shutil.which("ffmpeg")
     if found is None:
         raise MissingExtra("imageio-ffmpeg", "mp4")
@@ -283,16 +287,18 @@ def encoder() -> str:
 
 
 def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
-    """Encode pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: how long each is shown, similar for all but the last.
+    """Encode pictures (PIL) as an MP4 film (H.264), return its bytes. lasts (N,) [ms]: how long each is shown.
 
-    Raises InvalidOption if ffmpeg fails, with what it says.
+    All but the last are shown about equally long. Raises InvalidOption if ffmpeg fails, with what it says.
     """
     first, *_ = rgb = [frame.convert("RGB") for frame in frames]
     rate = 1000.0 / float(lasts[:-1].mean()) if len(lasts) > 1 else 1.0
     rgb += rgb[-1:] * max(0, round(float(lasts[-1]) / 1000.0 * rate) - 1)
-    with tempfile.TemporaryDirectory() as folder:  # an MP4 file is not written from front to back
+    # A file is needed, not a pipe, because ffmpeg goes back to write the head of an MP4 file.
+    with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "film.mp4"
-        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # The pixel format needs even width and height.
+        # The pixel format yuv420p needs an even width and height, so a row or column is added if necessary.
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
         read = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {first.width}x{first.height} -r {rate:.6g} -i -"
         write = f"-vf {even} -c:v libx264 -pix_fmt yuv420p -movflags +faststart"
         words = [ffmpeg, *read.split(), *write.split(), str(made)]

@@ -88,7 +88,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         raise InvalidOption(f"there is no chart of a {type(several[0]).__name__}; see help(ik.plot)")
     if file is not None:
-        with drawing():  # this style keeps text as text in an .svg file
+        with drawing():  # saved in this package's style, which keeps text as text in an .svg file
             save(figure, file)
     return figure
 
@@ -123,9 +123,10 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, one row for each robot, the success rate with its 95 % interval, and the share of targets solved over time."""
+    """Draw a Benchmark, a row for each robot: success rates with 95 % intervals, and the share of targets solved within a time."""
     robots = found.by_robot()
-    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # A solver has the same colour everywhere.
+    # in one order, so that a solver has the same colour for every robot
+    solvers = list(dict.fromkeys(row.solver for row in found.rows))
     height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
     with charts(len(robots), 2, (9.0, height), squeeze=False) as (figure, axes):
         for (bars, times), (robot, rows) in zip(axes, robots.items(), strict=True):
@@ -147,7 +148,7 @@ def plot_benchmark(found: Benchmark) -> Any:
 
 
 def plot_batch(batch: BatchResult) -> Any:
-    """Draw the share of targets that were solved within so many iterations, and the errors of those that were not."""
+    """Draw a BatchResult: the share of targets solved within a number of iterations, and the errors of targets not solved."""
     good = batch.success
     with charts(1, 1, (6.2, 3.2)) as (figure, axis):
         steps = np.maximum(np.sort(batch.iterations[good]), 1)
@@ -164,7 +165,7 @@ def plot_batch(batch: BatchResult) -> Any:
 
 
 def plot_least_rate(found: LeastRate) -> Any:
-    """Draw the growth of a small error over the sample rate, with the bands of stable rates."""
+    """Draw a LeastRate: by how much a small error grows per step, over the sample rate, with the ranges of stable rates marked."""
     with charts(1, 1, (6.2, 3.4)) as (figure, axis):
         for low, high in found.bands:
             axis.axvspan(low, high, color=COLOURS[0], alpha=0.15, lw=0)
@@ -203,7 +204,7 @@ def stability_map(axis: Any, chart: StabilityChart) -> Any:
 
 
 def plot_calibration(found: Calibration) -> Any:
-    """Draw the residuals of all measurements for the nominal and the corrected arm, and the errors with their 95 % intervals."""
+    """Draw a Calibration: residuals of the measurements for nominal and corrected arm, and the arm's errors with 95 % intervals."""
     turns = {one.name: one.turns for one in found.unknowns}
     base = {one.name for one in found.unknowns if one.group == "base"}
     height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))
@@ -218,7 +219,8 @@ def plot_calibration(found: Calibration) -> Any:
         axes[0].set_title(literal_text(f"{found.drawn.name}: {drawn} as drawn, {corrected} corrected (RMS)"))
         axes[0].legend(fontsize=8)
         for axis, kind, scale, unit in ((axes[1], False, 1e3, "mm"), (axes[2], True, 180.0 / np.pi, "deg")):
-            # The base may be metres away, beside which no error of the arm could be seen; the table has it.
+            # Errors of the base are left out (the table has them): they may be metres, beside which no error of the arm could be
+            # seen.
             names = [name for name in found.errors if turns[name] == kind and name not in base]
             x, half = scale * np.reshape([found.errors[name] for name in names], (-1, 2)).T
             y = -np.arange(len(names))
@@ -230,7 +232,7 @@ def plot_calibration(found: Calibration) -> Any:
 
 
 def plot_tuning(result: TuneResult) -> Any:
-    """Draw the cost over generations, with the held-out result in the title."""
+    """Draw the progress of a tuning run: cost over generations, with the result on held-out targets in the title."""
     with charts(1, 1, (6.2, 3.4)) as (figure, axis):
         generation, (best, now, median) = np.arange(1, len(result.history) + 1), result.history.T[:3]
         axis.semilogy(generation, median, color=GREY, lw=1, label="median of the generation")
@@ -253,14 +255,15 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
     reference.
     """
     rows, drawn = len(found.outcomes), []
-    worst = 1.0  # [%] the least upper end of the colour scale
+    worst = 1.0  # [%] upper end of the colour scale; it is raised to the largest failure rate of any cell
     with charts(rows, 2, (7.4, 0.3 + 4.0 * rows), squeeze=False) as (figure, axes):
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
             few = outcome.targets - outcome.solved <= 200
             bad = found.failures[name] if few else np.empty((0, 4))
             ends = found.low + found.cell * np.array(found.map[name].shape[1:])
             for axis, keep in two_views(row[::-1]):
-                targets, solved = found.map[name].sum(axis=4 - sum(keep))  # over the axis that is not kept
+                # sum over the axis along which this view looks
+                targets, solved = found.map[name].sum(axis=4 - sum(keep))
                 with np.errstate(invalid="ignore"):
                     rate = np.where(targets > 0, 100.0 * (1.0 - solved / targets), np.nan)
                 worst = max(worst, float(np.nanmax(rate)))
@@ -272,7 +275,7 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
             row[0].set_title(f"{literal_text(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
-            # Cells with zero failures are pale, because white means that there is no target.
+            # The scale begins below 0, so that cells without failures are pale; white is for cells without targets.
             one.set_clim(-0.15 * worst, worst)
         scale = {"boundaries": np.linspace(0.0, worst, 101), "ticks": np.linspace(0.0, worst, 5)}
         shape = {"shrink": min(0.8, 1.6 / rows), "aspect": 30, "pad": 0.02}
@@ -280,7 +283,8 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
         return figure
 
 
-ALONE: dict[type, Callable[[Any], Any]] = {  # types of results that are drawn without a robot or target
+# the function that draws each type of result which needs no robot or target
+ALONE: dict[type, Callable[[Any], Any]] = {
     PathResult: plot_motion,
     Trajectory: plot_motion,
     Benchmark: plot_benchmark,

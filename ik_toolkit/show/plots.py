@@ -21,12 +21,12 @@ from .body import skeleton
 
 FLOOR = 1e-12  # [m, rad] smaller errors are drawn at this value, because a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
-COLUMNS = 5  # largest number of columns of the legend of joints
+COLUMNS = 5  # The legend with the names of the joints has at most this many columns.
 
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Context manager: yield matplotlib's pyplot in this package's style; it keeps no figures open. Raises MissingExtra."""
+    """Context manager: yield matplotlib's pyplot in this package's style; in the end close new figures. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -39,13 +39,14 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    if interactive != plt.isinteractive():  # the first figure loads the backend, which may change this
+    # Loading the backend for the first figure may switch interactive mode on or off, so it is restored.
+    if interactive != plt.isinteractive():
         plt.ion() if interactive else plt.ioff()
 
 
 @contextmanager
 def charts(rows: int, columns: int, size: tuple[float, float], **more: Any) -> Iterator[tuple[Any, Any]]:
-    """Context manager: yield a figure of a size [inches] and its charts (an array, or one), in this package's style."""
+    """Context manager: yield a new figure of a size [inches] in this package's style, and its axes (an array, or one)."""
     with drawing() as plt:
         yield plt.subplots(rows, columns, figsize=size, layout="constrained", **more)
 
@@ -56,7 +57,7 @@ def literal_text(text: str) -> str:
 
 
 def two_views(axes: Sequence[Any]) -> Iterator[tuple[Any, tuple[int, int]]]:
-    """Yield two charts with the coordinates that they show, from the side (x, z) and from above (x, y), and label them."""
+    """Label two matplotlib axes as view from the side and from above; yield each with its coordinates, (0, 2) or (0, 1)."""
     for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
         axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side)
         yield axis, (i, j)
@@ -68,7 +69,7 @@ def skeletons(robot: Joints, q: np.ndarray) -> list[np.ndarray]:
 
 
 def raster(axis: Any, values: np.ndarray, low: Any, high: Any, **look: Any) -> Any:
-    """Draw values (X, Y) as coloured cells between two corners (2,) [m]; return the drawn colours, for a colour bar."""
+    """Draw values (X, Y) as coloured cells between two corners (2,) [m]; return matplotlib's image, for a colour bar."""
     axis.grid(False)
     extent = (low[0], high[0], low[1], high[1])
     return axis.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **look)
@@ -117,16 +118,17 @@ def convergence(runs: Any, *, title: str = "") -> Any:
 
 
 def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return joint values (N, n), position errors [m] and angles [rad] of the winning attempt of a Result with history.
+    """Return the iterations of the attempt that found a Result: joint values (N, n), position errors [m] and angles [rad].
 
-    They end at the result; an angle that does not count is NaN. The last value lists the rows of the first twelve other attempts.
+    The Result must have a history. The iterations end at the result; an angle that does not count is NaN. A fourth value lists
+    the rows of the history that belong to each of the first twelve other attempts.
     """
     history, number = result.history, result.history["attempt"]
     same = np.flatnonzero((history["q"] == result.q).all(axis=1))
     last = int(same[-1]) if len(same) else len(number) - 1
     rows = np.flatnonzero(number[: last + 1] == number[last])
     Q, position, angle = (np.asarray(history[key])[rows] for key in ("q", "position_error", "orientation_error"))
-    if not len(same):  # The result was refined after the search.
+    if not len(same):  # The result is not in the history if it was refined after the search, so it is added.
         Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
         angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
     return Q, position, angle, [np.flatnonzero(number == one) for one in np.unique(number) if one != number[last]][:12]
@@ -168,7 +170,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             _clock(axes[3], result)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
-        for columns in range(COLUMNS, 0, -1):  # as many columns as fit; names may be long
+        for columns in range(COLUMNS, 0, -1):  # Joint names may be long, so the legend gets as many columns as fit.
             legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
             if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
                 break
@@ -195,7 +197,8 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
         ax.plot(*ways[:1, k].T, color=COLOURS[1], marker="s", ms=5, ls="", label=names[2], zorder=4)
     corners = np.vstack([*skeletons(robot, result.q[0]), ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # A planar arm gets a box with some depth, too.
+    # at least a quarter of the largest side, so that the drawing of a planar arm has some depth
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)
@@ -290,7 +293,7 @@ def _joints(
     bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
-    for k in breaks:  # no line is drawn across a change of branch
+    for k in breaks:  # NaN leaves a gap in the lines where the path jumps to another branch (reconfiguration).
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
     _lines(ax, x, shown, names)

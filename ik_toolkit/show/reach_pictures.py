@@ -13,14 +13,16 @@ from .meshcat_server import Cloud
 from .plots import charts, literal_text, raster, two_views
 from .scene_state import css
 
-SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))  # corners of a box's sides
+# for each side of a box, the numbers of its four corners in order
+SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
 def plot_map(found: ReachabilityMap) -> Any:
-    """Draw the planes through the middle of a map's reached cells, coloured by share of orientations or by manipulability.
+    """Draw a ReachabilityMap as cuts through the middle of its reached cells.
 
-    White is proven out of reach; grey means that no configuration was found and nothing is proven. The title says
-    how many cells are of each kind, and how many of the grey ones more attempts reached (the audit).
+    Cells are coloured by the share of orientations that are reached or, if there is only one, by manipulability. White is proven
+    out of reach; grey means that no configuration was found and nothing is proven. The title says how many cells are of each
+    kind, and how many of the grey ones more attempts reached (the audit).
     """
     total = found.states.size
     share = {name: f"{100 * count / total:.3g} %" for name, count in found.counts().items()}
@@ -80,9 +82,10 @@ def _loose(found: ReachabilityMap) -> Any:
 
 
 def draw_cells(scene: Any, found: ReachabilityMap) -> None:
-    """Draw the reached cells of a map around the robot, coloured as in its chart; the slider cuts them along y, x or z.
+    """Draw the reached cells of a ReachabilityMap around the robot in a 3-D scene, with a slider that cuts them open.
 
-    Each plane of cells is a cloud of its own; frame k of the animation hides the planes before k.
+    Colours are those of `plot_map`. Each plane of cells is a cloud of its own; frame k of the animation hides the planes before
+    k.
     """
     if found.tip != scene.robot.tips[0] or found.joint_names != scene.robot.joint_names:
         raise InvalidOption(
@@ -97,7 +100,8 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     points = points @ base[:3, :3].T + base[:3, 3]
     sizes, shape = found.grid.size, found.grid.shape
     across = next((k for k in (1, 0, 2) if shape[k] > 1), 1) if found.grid.poses is None else 1
-    plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]  # Single poses are all in one plane.
+    # A map of single poses has no grid, so all of them count as one plane.
+    plane = np.unravel_index(np.arange(found.grid.cells), shape)[across]
     big = 0.55 * float(sizes[sizes > 0].min()) if (sizes > 0).any() else 0.01 * scene._extent()
     used = np.unique(plane[yes])
     for k in used:
@@ -110,7 +114,8 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
     scene.say(str(found.audit))
     if len(used) < 2:
         return
-    # A plane that is cut away is drawn with size zero; the first frame shows the inside.
+    # In the animation, a plane of cells that is cut away is scaled to size zero. At first half of the planes are, to show the
+    # inside.
     poses, half = np.zeros((len(used), len(used), 3, 4), "<f4"), len(used) // 2
     for frame in range(len(used)):
         poses[frame, frame:, :, :3] = np.eye(3)
@@ -122,7 +127,7 @@ def draw_cells(scene: Any, found: ReachabilityMap) -> None:
 
 
 def ramp(values: np.ndarray) -> np.ndarray:
-    """Return colours (N, 3) in 0..1 of values (N,) from their least to their largest, as matplotlib's viridis."""
+    """Return colours (N, 3) in 0..1 of matplotlib's map viridis for values (N,), from 0 to their largest."""
     red, green = (0.267, 0.229, 0.128, 0.369, 0.993), (0.005, 0.322, 0.567, 0.789, 0.906)
     blue = (0.329, 0.546, 0.551, 0.383, 0.144)
     high = max(float(np.max(values, initial=0.0)), 1e-300)
@@ -131,7 +136,10 @@ def ramp(values: np.ndarray) -> np.ndarray:
 
 
 def plot_places(found: Placements) -> Any:
-    """Draw the floor from above: for each square the share of poses reached at its best yaw and height (grey: none)."""
+    """Draw Placements as a map of the floor: for each square the share of poses reached from it at its best yaw and height.
+
+    Grey means that no pose is reached.
+    """
     bases, shares = found.candidates, found.shares
     each = found.poses.values() if isinstance(found.poses, dict) else [found.poses]
     at = np.concatenate([one if one.ndim == 2 else one[:, :3, 3] for one in each])
@@ -146,7 +154,8 @@ def plot_places(found: Placements) -> Any:
         raster(axis, np.where(best > 0.0, np.nan, best), *ends, cmap="Greys", vmin=-0.17, vmax=1.0)
         image = raster(axis, np.where(best > 0.0, best, np.nan), *ends, cmap="viridis", vmin=0.0)
         for k, corners in enumerate(found.obstacles[..., :2]):
-            for j, side in enumerate(SIDES):  # The sides of a box, seen from above, together cover its outline.
+            # Each side of the box is drawn as seen from above; together they cover the box's outline.
+            for j, side in enumerate(SIDES):
                 axis.fill(
                     *corners[list(side)].T, color=COLOURS[3], lw=0, label=None if k + j else "boxes around obstacles"
                 )

@@ -240,9 +240,9 @@ class Scene(InCell):
     def animate(
         self, Q: Any, labels: Sequence[str] | None = None, fps: float = 25.0, first: int = 0, name: str = "robot"
     ) -> None:
-        """Animate a robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to it.
+        """Animate a robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to the slider.
 
-        It is shown at row number `first`. Raises InvalidConfiguration or InvalidOption.
+        At first the robot is shown at row number `first`. Raises InvalidConfiguration or InvalidOption.
         """
         body, base = self._body(read_text(name, "name"))
         Q = animation.shown_rows(body.robot, Q)[0]
@@ -283,7 +283,7 @@ class Scene(InCell):
         return animation.write_pictures(path, self._aimed(), size)
 
     def record(self, path: str | Path, size: tuple[int, int] = (640, 400), pictures: int = 48) -> Path:
-        """Write the animation as a .gif or .mp4 file of at most so many pictures, in its own time; no browser is needed.
+        """Write the animation as a .gif or .mp4 file that lasts as long, with a limited number of pictures; no browser is needed.
 
         A picture takes about a second. An .mp4 file (H.264) is made by ffmpeg: that of the package imageio-ffmpeg, else one on the
         PATH. Raises InvalidOption if there is no animation, the name ends in something else or another argument is wrong;
@@ -322,7 +322,7 @@ class Scene(InCell):
 
 def _axes(axis: Any, bare: bool, size: float) -> list[DrawnShape]:
     """Return the ball and arrows of a frame of a size [m], of one arrow along an axis (3,), or of a ball only (bare)."""
-    r = 0.035  # radius of an axis over its length
+    r = 0.035  # radius of a drawn axis arrow, as a share of its length
     shapes = [(primitive("sphere", ((2.2 if bare else 1.7) * r,)), RED if bare else SLATE)]
     arrows = zip(np.eye(3), AXES, strict=True) if axis is None else [(np.asarray(axis), PURPLE)]
     rod, cone = revolved([(0, 0), (1, 0), (1, 1), (0, 1)], 20), revolved([(0, 0), (1, 0), (0, 1)], 24)
@@ -366,7 +366,7 @@ def view(
     cells, what = (what, None) if hasattr(what, "manipulability") and hasattr(what, "grid") else (None, what)
     scene.update(robot.home if what is None else what, target=target, cloud=cloud, obstacles=obstacles)
     if cells is not None:
-        from .reach_pictures import draw_cells  # imported when needed: it loads the solvers' studies
+        from .reach_pictures import draw_cells  # imported only when needed, because it loads the package's studies
 
         draw_cells(scene, cells)
     scene.look()

@@ -14,19 +14,20 @@ from ..validate import number
 from .body import Body, DrawnShape, grid_cell
 from .meshcat_server import Cloud, Copy, Window
 
-FAR = 3.0  # [scene sizes] The camera does not move back for objects that are farther away or larger than this.
+# An object farther away or larger than FAR [scene sizes] is ignored when the camera is moved back to see everything.
+FAR = 3.0
 
 
 Color = tuple[float, float, float]  # red, green and blue in 0..1
 
 
 def css(color: Sequence[float]) -> str:
-    """Return a CSS colour for (r, g, b) in 0..1."""
+    """Convert a colour (r, g, b) in 0..1 to CSS text such as '#3a7bd5'."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
 def read_color(color: Any) -> Color | None:
-    """Return a colour (r, g, b), or None for none. Raises InvalidOption unless it is three numbers from 0 to 1."""
+    """Check a colour given by the user, three numbers from 0 to 1 or None, and return it as (r, g, b). Raises InvalidOption."""
     if color is None:
         return None
     what = "a colour must be red, green and blue from 0 to 1, such as (0.8, 0.2, 0.1)"
@@ -40,14 +41,17 @@ def read_color(color: Any) -> Color | None:
 
 
 def read_opacity(opacity: Any) -> float | None:
-    """Return an opacity, or None for none. Raises InvalidOption unless it is a number from 0 to 1."""
+    """Check an opacity given by the user, a number from 0 to 1 or None, and return it. Raises InvalidOption."""
     if opacity is not None and not 0.0 <= number(opacity, "opacity") <= 1.0:
         raise InvalidOption(f"opacity must be from 0 (invisible) to 1 (solid), not {opacity!r:.60}")
     return None if opacity is None else float(opacity)
 
 
 def read_text(text: Any, what: str) -> str:
-    """Return text. Raises InvalidOption for anything else, and for a name that is empty or has a slash."""
+    """Check a text given by the user and return it; if `what` is 'name', it must not be empty or have a slash.
+
+    Raises InvalidOption.
+    """
     if not isinstance(text, str) or (what == "name" and not text):
         raise InvalidOption(f"{what} must be text, not {text!r:.60}")
     if what == "name" and "/" in text:
@@ -56,31 +60,35 @@ def read_text(text: Any, what: str) -> str:
 
 
 def read_labels(labels: Any) -> list[str]:
-    """Return a list of texts. Raises InvalidOption for anything else."""
+    """Check labels given by the user and return them as a list of texts. Raises InvalidOption for anything else."""
     if isinstance(labels, str) or not isinstance(labels, Iterable):
         raise InvalidOption(f"labels must be a list of texts, not {labels!r:.60}")
     return [read_text(label, "a label") for label in labels]
 
 
 class SceneState(Unique):
-    """Everything drawn in a scene, by name, and the page's text and camera."""
+    """Base class of Scene: keeps everything drawn in a 3-D scene by name, with the page's texts and camera."""
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
         """Start with nothing drawn of a Robot or a Tree."""
         self.robot = robot
         self.body = Body(robot)
         self.window = Window()
-        # Robots with their own meshes, and the pose (4, 4) of their world frame in the scene's; all others are copies of "robot".
+        # For each robot drawn with meshes of its own: its Body, and the pose (4, 4) of its world frame in the scene. Other robots
+        # are drawn as copies of "robot".
         self._bodies = {"robot": (self.body, np.eye(4))}
-        # Poses (F, P, 4, 4) of the parts of each robot: first the initial one, then those of an animation.
+        # Poses (F, P, 4, 4) of the P parts of each robot, by its name: row 0 as it stands now, then a row for each frame of an
+        # animation.
         self._placed: dict[str, np.ndarray] = {}
         self._looks: dict[str, tuple[Color | None, float]] = {}  # colour and opacity of each robot
         self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
-        self._boxes: dict[str, np.ndarray] = {}  # corners (2, 3) [m] of everything, world axes
+        # corners (2, 3) [m] of the bounding box of everything drawn, by name, in world axes
+        self._boxes: dict[str, np.ndarray] = {}
         self._legend: dict[str, list[tuple[str, str]]] = {}
         self._grid: list[tuple[str, str]] = []
         self._shown: set[str] = set()  # names of what was drawn for a result, and is removed with it
-        self._marks: dict[str, tuple[Any, ...]] = {}  # properties of each drawn frame, its size last
+        # how each coordinate frame is drawn (its properties, the size last), by name
+        self._marks: dict[str, tuple[Any, ...]] = {}
         self._around: Any = None  # the CollisionModel whose obstacles belong to the result, and its version
         self._inline = False  # whether a notebook cell shows an earlier state of the scene
         self._captioned = False  # whether the lines under the title are those of a result
@@ -132,7 +140,8 @@ class SceneState(Unique):
         moved = name in self._placed
         for kept in (self._placed, self._looks, self._parts, self._boxes, self._legend, self._marks):
             kept.pop(name, None)
-        if name == "robot":  # Its translucent copies used its meshes, so they are drawn anew.
+        # The translucent copies of the robot use its meshes, which are removed with it, so they are drawn anew.
+        if name == "robot":
             for one in self._placed.keys() - self._bodies.keys():
                 self._put(one, self._placed[one], self._looks.pop(one))
         elif moved:
@@ -230,9 +239,9 @@ class SceneState(Unique):
             self.window.say(legend=[*told])
 
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
-        """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far.
+        """Put the camera at `eye`, looking at `target` [m], world axes; without arguments it sees everything drawn so far.
 
-        Raises InvalidOption if they are not finite numbers (3,), or the same point.
+        Raises InvalidOption if eye and target are not finite numbers (3,), or are the same point.
         """
         low, high = self._box()
         centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
@@ -262,14 +271,14 @@ class SceneState(Unique):
         eye, to = np.array(about["camera"][:2])
         targets = [box for name, box in self._boxes.items() if name.startswith("target")]
         seen, ahead = np.vstack([self.body.tips(q)[:, :3, 3], *targets]) - eye, (to - eye) / np.linalg.norm(to - eye)
-        # Half of the viewer's picture, which is 75 degrees high.
+        # Tangent of half the angle that the viewer's camera sees from top to bottom (75 degrees).
         if (seen @ ahead < np.cos(np.radians(37.5)) * np.linalg.norm(seen, axis=1)).any():
             low, high = self._box()
             self.look((0.5 * (low + high) - 0.9 * np.linalg.norm(high - low) * ahead).tolist())
 
     # ---------------------------------------------------------------------------------------------- sizes and places
     def drawn(self) -> dict[str, np.ndarray]:
-        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
+        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); for a trail, the identity."""
         still = [path for path in self._boxes if path in self.window.objects]
         return {path: self.window.pose(path) for path in (*self.window.transforms, *still)}
 

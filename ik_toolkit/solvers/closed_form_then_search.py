@@ -12,15 +12,16 @@ from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
 
-# `into_tolerances` starts from STARTS random configurations and makes at most STEPS Newton steps from each.
+# `into_tolerances` looks for a solution from STARTS random configurations, with at most STEPS Newton steps from each.
 STARTS, STEPS = 64, 24
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, length: float) -> np.ndarray:
-    """Return, for result rows (N, width), the squared errors (N,) by which failures are compared.
+    """Return one squared error for each failed solve (N,), position and rotation together, so that failures can be compared.
 
-    rows: each a `kernel.records.Answer`, then q; length: position error [m] that counts as much as a rotation error of 1 rad.
+    rows (N, width): result rows, each the fields of `kernel.records.Answer`, then q; length: position error [m] that counts as
+    much as a rotation error of 1 rad.
     """
     return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
@@ -39,9 +40,9 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     @functools.cache
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """Return the Plan of the search, the same with one attempt, and the values {index in q: value} of joints that both fix.
+        """Return two plans of the iterative search, with all attempts and with one, and {index in q: value} of joints held in both.
 
-        They are made when first needed.
+        The plans are made when first needed.
         """
         options, held = dict(PLAIN), plan.rule.held(robot)
         if held:
@@ -52,7 +53,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain
-        if len(flat) == plan.width:  # one target without history: the array is its result row
+        if len(flat) == plan.width:  # For one target without history, the array is just that target's result row.
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
@@ -71,8 +72,9 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             return  # A joint is held outside its limits, so a search cannot find anything.
         ended = np.array(out[failed, SIZE.answer :])
         kinds = (int(opt[SIZE.orders]),)
-        # With one target the closed form has written one row of history; with more targets there is no history.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # the start is home if the caller gave none
+        # The iteration history exists only for a single target; the closed form has then written its first row.
+        # The compiled code gets the robot's home as start if the caller gave none.
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -87,7 +89,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 def into_tolerances(
     plan: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
 ) -> None:
-    """Search for a configuration that meets both tolerances of T (4, 4), and write it to the result row `row` if there is one.
+    """Search for a q that meets both tolerances of the target T (4, 4); if one is found, write it to the result row `row`.
 
     Each error counts in units of its tolerance: if one tolerance is loose, a configuration may meet both although the sum of its
     errors in metres and radians is not the least. The search begins at the q of `row` and at random configurations. plan: the
@@ -124,7 +126,9 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search for M targets and merge what is found into their result rows; return for each (M,) whether it stays unsolved.
+    """Search for M targets that a closed form has not solved, and merge the answers into its result rows.
+
+    Returns a bool for each target (M,): whether it stays unsolved.
 
     Args:
         search: Plan of the search.
@@ -152,7 +156,8 @@ def continue_with(
             hist[: len(noted)] = noted
         else:
             plan.run(T[some], how[0], starts, how[1], found)
-        # The row may keep the status of the closed form, so q must be the closest configuration, however this search ended.
+        # However the search ended, its q is moved closer to the target, because the row may keep the closed form's status, which
+        # promises the closest q.
         ended = (CODE.stalled, CODE.limit_blocked, CODE.unreachable, CODE.iteration_limit, CODE.singular)
         finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)
@@ -161,7 +166,7 @@ def continue_with(
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float) -> None:
-    """Merge result rows of the search (M, width) into the rows `failed` (M,) of `out` (N, width), changed in place.
+    """Merge the search's result rows (M, width) into the rows `failed` (M,) of the closed form's `out` (N, width), in place.
 
     q and errors are taken from whichever has the smaller error (see `error_size`; length [m]), the status as `with_search` says;
     the counts are added.

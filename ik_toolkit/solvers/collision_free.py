@@ -13,8 +13,8 @@ from ..robot.geometry.collision import CollisionModel
 from .options import AVOID, PLAIN, avoided
 from .status import Status
 
-STARTS = 256  # Number of random starts that are tried before giving up, unless restarts= says otherwise.
-ROUND = 16  # Number of starts that are solved in one call of the compiled search.
+STARTS = 256  # number of random starts tried for a solution free of contact, unless the option `restarts` gives another
+ROUND = 16  # number of random starts that are solved together in one call of the compiled search
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
@@ -41,12 +41,12 @@ def collision_model(robot: Any, asked: Any) -> CollisionModel:
 
 
 def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:
-    """Return a finishing step that replaces a converged answer in contact by one free of contact, and then improves it.
+    """Return a function that replaces a solution in contact by one free of contact; it runs after a solve has converged.
 
-    Random starts are solved in rounds of ROUND starts (with `closest` in a single round of all). The first round with
-    solutions free of contact ends the search, and of these the one nearest the start is chosen. Without any, the status is
-    COLLISION. The counts are those of all starts. `then`: steps that improve an answer without contact; a step that causes a
-    contact is undone.
+    The function solves again from random starts, in rounds of ROUND starts (with `closest` in a single round of all). The first
+    round with solutions free of contact ends the search, and of these the one nearest the start is chosen. If no round has one,
+    the status is COLLISION. The counts of iterations and evaluations are those of all starts together. `then`: steps that improve
+    the answer afterwards; a step that causes a contact is undone.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))

@@ -27,36 +27,40 @@ from .registry import GENERAL, find_row
 from .status import DECIDED, NEAREST
 from .task import POSES
 
-# statuses of the search that prove nothing about the target
+# statuses of the iterative search that leave open whether the target has a solution
 OPEN = (CODE.stalled, CODE.iteration_limit, CODE.limit_blocked, CODE.singular)
-# Options that the decision by elimination respects; with any other option the search continues without it.
+# Only with these options can the elimination (a closed form for six revolute joints) decide whether a target has a solution. If any
+# other option is set, the iterative search runs alone.
 HONOURED = {
     "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest", "objective",
 }  # fmt: skip
 
 
 class DecisionMargins(NamedTuple):
-    """Margins for concluding from the elimination's list of exact solutions that a target has none within the tolerances.
+    """Safety margins for concluding that no joint values bring the tip within the tolerances of a target.
 
-    The list says nothing about poses that miss the target by less than the tolerances, so a solution just out of reach or just
-    beyond a limit decides nothing. Below, e is the larger tolerance [rad, or length over the arm's size].
+    The elimination lists the exact solutions of a target. The list says nothing about poses that miss the target by less than the
+    tolerances, so a solution just out of reach or just beyond a limit decides nothing. In the comments on the fields, e is the
+    larger tolerance [rad, or length over the arm's size].
     """
 
-    # number of attempts of the search that runs first: they solve most targets, ten times as fast as the elimination
+    # number of attempts of the iterative search, which runs before the elimination: it solves most targets, ten times as fast
     attempts: int = 3
     near: float = 0.1  # [rad] a solution that breaks a limit by less is moved onto it and corrected by Newton steps
-    # Two complex solutions that are at most gap * sqrt(e) from being real may hide a real pose within e of the target.
+    # Two complex solutions that are at most gap * sqrt(e) from being real may mean that a pose within e of the target has a real
+    # solution.
     gap: float = 30.0
-    # [rad] an answer that is at most this much farther from q0 than the nearest solution in the list counts as that one
+    # [rad] an answer at most `same` farther from q0 than the nearest listed solution counts as the nearest solution
     same: float = 1e-6
     # Where a solution breaks a limit by d, configurations inside that limit miss the target by at least about d times a measured
-    # factor (`EliminationAnswer.gain`). That product must exceed e by this factor.
+    # factor (`EliminationAnswer.gain`). Only if that product exceeds e by the factor `gain` does the solution count as beyond its
+    # limits.
     gain: float = 10.0
-    # A configuration whose errors are both below this many tolerances decides nothing, because one nearby, with one error larger
-    # and the other smaller, may be inside both. This happened at one of 72,000 targets.
+    # If a configuration has both errors below `beside` times their tolerances, nothing is decided: a configuration nearby may trade
+    # one error for the other and meet both tolerances. This happened at one of 72,000 targets.
     beside: float = 3.0
-    # With a tolerance above this nothing is decided: from 5 mm on, poses within the tolerances were found although the exact pose
-    # had no solution.
+    # With a tolerance above `loosest` the elimination is not asked: from 5 mm on, poses within the tolerances were found although
+    # the exact pose had no solution.
     loosest: float = 5e-4  # [rad, or lengths over the reach]
 
 
@@ -64,7 +68,7 @@ MARGINS = DecisionMargins()
 
 
 class Blocked(NamedTuple):
-    """For a target whose solutions all break a limit: the solution that breaks its limits least."""
+    """The solution that breaks the joint limits least, for a target whose solutions all break some limit."""
 
     q: np.ndarray  # joint values (n,) [rad]
     joint: str  # name of the joint that breaks its limit most
@@ -73,7 +77,7 @@ class Blocked(NamedTuple):
 
 
 def elimination_plan(plan: Plan) -> Plan | None:
-    """Return a Plan that solves by elimination with the options of `plan`, or None if the robot or an option rules that out."""
+    """Return a Plan like `plan` that solves by elimination, or None if the robot or an option does not allow this solver."""
     robot = plan.robot
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
@@ -87,9 +91,9 @@ def elimination_plan(plan: Plan) -> Plan | None:
 
 
 def deciding(plan: Plan) -> "Deciding | None":
-    """Return a plan that runs a short search, then the elimination (poses only).
+    """Return a plan for poses that searches briefly and, if that fails, decides by elimination whether a solution exists.
 
-    None if the options or the robot do not allow it.
+    Returns None if an option of `plan` or the robot does not allow the elimination.
     """
     o = plan.options
     asked = {f.name for f in fields(Options) if getattr(o, f.name) != f.default}
@@ -148,12 +152,12 @@ def _sort_out(Q, excess, gain, start, terms, legal):
 
 @cached
 def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
-    """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED or NEAREST.
+    """Decide by elimination which of M targets have a solution, and write what is decided to their result rows `out` (M, width).
 
-    A target is solved by a solution within the limits, or by one near them that Newton steps move onto them. A target has no
-    solution if its list is certified, none of the listed solutions is near a limit or nearly real, and no pose beyond the limits
-    is within the tolerances. Other targets stay undecided and their rows unchanged. Returns the numbers of the targets for which
-    the whole search is to continue.
+    A target is solved if a listed solution is inside the limits, or so near them that Newton steps can move it onto them. A
+    target has no solution if its list is certified, none of the listed solutions is near a limit or nearly real, and no pose
+    beyond the limits is within the tolerances. Decided rows get AT.excess = DECIDED or NEAREST; the rows of other targets stay
+    unchanged. Returns the indices of the targets for which the whole search is to continue.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -203,8 +207,9 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             if _beside(made, terms):
-                continue  # Joint values outside the limits come so near to the target that nothing is decided.
-        # Q has the solutions moved onto the limits they break; the best may be nearer to the target than the search came.
+                continue  # With joint values outside the limits the tip comes so near the target that nothing is decided.
+        # Q has the listed solutions, clamped to the limits that they break. The best of them may be nearer to the target than the
+        # configuration at which the search ended.
         if count > 0:
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
@@ -217,22 +222,22 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
 
 def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Return the arm as `binding.answers` takes it: the orderings of its loop of joints (`forms_of`), and its geometry (52,)."""
+    """Return the arm for `binding.answers`: the orderings of its closed loop of joints (`forms_of`), and its geometry (52,)."""
     p = exact.orders(POSES, True)[SIZE.weights + N :].copy()
     return forms_of(p.tobytes()), p
 
 
 class Deciding(Plan):
-    """The general search with a few attempts, then the elimination, then, where that decides nothing, the whole search."""
+    """A plan that solves in three stages: a short search, the elimination where that fails, the whole search if still undecided."""
 
     @functools.cached_property
     def first(self) -> Plan:
-        """The plan of the short search that runs before the elimination."""
+        """The plan of the short iterative search that runs before the elimination."""
         return self.varied(restarts=MARGINS.attempts - 1, closest=False)
 
     @functools.cached_property
     def open(self) -> tuple[int, ...]:
-        """The statuses with which the short search leaves a target to the elimination."""
+        """The statuses of the short search after which the elimination tries to decide the target."""
         return (*OPEN, CODE.converged) if self.options.closest else OPEN
 
     @functools.cached_property
@@ -257,7 +262,7 @@ class Deciding(Plan):
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Let the elimination decide, in place, the result rows `out` (N, width) that the short search left unsolved.
+        """Decide the targets that the short search left unsolved by elimination, and change their result rows in `out` (N, width).
 
         T (N, 4, 4): the targets; kinds, start, given: as for `Plan.run`.
         """
@@ -299,12 +304,12 @@ class Deciding(Plan):
 
     @functools.cached_property
     def within(self) -> float:
-        """Largest distance of a complex root from the unit circle at which a real pose near it may be within the tolerances."""
+        """Distance from the unit circle up to which a complex root may mean that a pose within the tolerances is reachable."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
 
 def blocked(result: Any) -> Blocked | None:
-    """Return the solution that breaks its limits least, if a result is certified to have none that keeps them."""
+    """Return the solution that breaks the limits least if all solutions are certified to break some limit, else None."""
     of = result._of
     if of.row[AT.excess] != DECIDED or of.row[AT.status] != CODE.limit_blocked:
         return None

@@ -27,14 +27,17 @@ ONE_ATTEMPT: dict[str, Any] = {
 
 
 class SearchThresholds(NamedTuple):
-    """Thresholds of the numerical search; angles in rad, lengths over the robot's reach."""
+    """Thresholds of the numerical search for all solutions of a target; angles in rad, lengths divided by the robot's reach."""
 
-    # two solutions are the same if no joint differs by more than this [rad, or length over the reach]
+    # two solutions are the same if no joint differs by more than `same` [rad, or length over the reach]
     same: float = 1e-3
-    # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
+    # tolerance to which each solution is computed [rad, or length over the reach]; with 1e-6, equal solutions near singular poses
+    # would differ too much to be merged
     tight: float = 1e-9
-    flat: float = 1e-4  # a direction whose singular value of the Jacobian is smaller may lead along a self-motion
-    # length of a trial step along such a direction, long enough that a search from there comes back to an isolated solution
+    # along a direction of the Jacobian with a singular value below `flat`, the arm may move while the tip stays (self-motion)
+    flat: float = 1e-4
+    # length [rad] of a trial step along a possible self-motion; it must be so long that, from an isolated solution, a search that
+    # begins at its end comes back to that solution
     stride: float = 0.02
     directions: int = 256  # number of directions tried for self-motions, enough to find all joints that move
 
@@ -45,10 +48,11 @@ THRESHOLDS = SearchThresholds()
 def search_solutions(
     plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int, Q0: np.ndarray | None = None
 ) -> Solutions:
-    """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first.
+    """Return the distinct solutions of a target that a search finds from many starts, the nearest to start (1, n) first.
 
-    The starts are Q0 (K, n) or, if that is None, `start` and random ones, `starts` in all. T (1, 4, 4), or (1, F, 4, 4) for
-    several tips: the target; kinds: its kinds; count: largest number of solutions returned if there are infinitely many.
+    One attempt is made from each start. The starts are Q0 (K, n) or, if that is None, `start` and random ones, `starts` in all. T
+    (1, 4, 4), or (1, F, 4, 4) for several tips: the target; kinds: its kinds; count: largest number of solutions returned if
+    there are infinitely many.
     """
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
@@ -79,7 +83,7 @@ def search_solutions(
     if o.priority is not None:
         return _minima(found, plan, kinds, T, f"({len(out)} of {starts} starts converged)", count)
     found._put(families=_families(single, found, T, kinds))
-    # The task may leave joints free; an axis target frees the turn about its axis.
+    # If there are more joints than the target needs, there are infinitely many solutions, and a spread sample of them is returned.
     free = robot.n - len(plan.held) > Asked(robot, kinds, options=o).rows
     if (free or found.families) and len(found) > count:
         found = spread_rows(found, count)
@@ -170,7 +174,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return whether (n,) each joint may be shifted by 2 pi, and whether it must stay inside its limits when shifted.
+    """Return for each joint (n,) whether its value counts modulo 2 pi, and whether a shift by 2 pi must keep it inside limits.
 
     A joint may be shifted if everything that it moves turns with it, mimic joints by a whole multiple of its angle.
     """
@@ -182,7 +186,7 @@ def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
 
 
 def spread_rows(found: Solutions, count: int) -> Solutions:
-    """Return at most `count` of the solutions, in order: rows that are far from one another, the nearest to q0 among them."""
+    """Choose at most `count` solutions that are far from one another, including the one nearest to q0; their order is kept."""
     q = found.q / found.robot.chain.unit
     chosen = [0]
     gap = np.linalg.norm(q - q[0], axis=1)

@@ -26,22 +26,23 @@ from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
-# if the least singular value of the Jacobian [m] is smaller at the end of a self-motion, the arm is called singular there
+# The arm is reported as singular at the end of a self-motion if the smallest singular value of its Jacobian [m] is below SINGULAR.
 SINGULAR = 1e-3
-# Two solutions are the same if no joint differs by more than this [rad]. The elimination lists each solution twice for a position
-# with free orientation.
+# Two solutions are the same if no joint differs by more than APART [rad]. For a position with free orientation, the elimination
+# lists each solution twice.
 APART = 1e-6
 
 
 class CertainLists(NamedTuple):
-    """Certified lists of the solutions of N poses; the `Solutions` of a pose are made when they are asked for."""
+    """The solutions of N poses as arrays, certified to be complete; `solutions(k)` makes the `Solutions` object of one pose."""
 
     plan: Plan
-    # whether nothing is left to check: neither collisions, constraints nor a check by Pinocchio are asked for
+    # whether the lists can be returned as they are: no check of collisions, constraints or by Pinocchio is asked for
     final: bool
     # (M, 3 + n) a row for each solution: position error [m], rotation error [rad], distance from q0, q [rad]
     table: np.ndarray
-    # (N, .) for each pose the index of its first row, the number of its rows, and evidence that these are all (`list_certain`)
+    # (N, .) for each pose the index of its first row in `table`, the number of its rows, and the evidence that no solution is
+    # missing (see `list_certain`)
     notes: np.ndarray
     notice: str  # text that says that q0 was clamped, or ""
 
@@ -51,7 +52,7 @@ class CertainLists(NamedTuple):
         return self.table[int(first) : int(first + kept)]
 
     def solutions(self, k: int, notice: str = "") -> Solutions | None:
-        """Return the Solutions of pose k, with `notice` in their message, or None without a certified list (see `list_certain`)."""
+        """Return the Solutions of pose k, with `notice` in their message, or None if its list is not certified to be complete."""
         first, kept, *evidence = self.notes[k].tolist()
         if kept < 0.0:
             return None
@@ -64,12 +65,12 @@ class CertainLists(NamedTuple):
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
-    """Return what `Solver.all` does: Solutions of a target, or a SolutionsBatch of targets (N, 4, 4) or (N, 3)."""
+    """Find all solutions, for `Solver.all`: Solutions for one target, a SolutionsBatch for targets (N, 4, 4) or (N, 3)."""
     starts, count, all_turns = whole(starts, "starts"), whole(count, "count"), switch(all_turns, "all_turns")
-    if isinstance(target, list | tuple):  # a list of targets, or one target as nested lists
+    if isinstance(target, list | tuple):  # may be a list of targets, or one target as nested lists
         each_one = [getattr(one, "homogeneous", one) for one in target]
         target = np.array(each_one) if {getattr(one, "shape", 0) for one in each_one} in ({(4, 4)}, {(3,)}) else target
-    # each target of a Tree has one more axis, that of its tips
+    # one target of a robot with several tips (Tree) has one more axis than that of a Robot
     shape, places = getattr(target, "shape", ()), int(solver.robot.by_tip)
     several = isinstance(shape, tuple) and len(shape) == 3 + places - (shape[-1:] == (3,))
     plan = solver.lister if is_plain(solver, target, several) else None
@@ -80,7 +81,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
         return _find(solver, target, q0, starts, count, all_turns, made)
     each, lists = [], []
     if plan:
-        target = np.require(target, requirements=["C", "W"])  # for arrays of another layout numba would compile again
+        target = np.require(target, requirements=["C", "W"])  # numba would compile again for any other layout
     for a in range(0, len(target), 1024):  # the answers for 1024 targets take 5 MB
         some = target[a : a + 1024]
         made = _certain(plan, some, q0, count) if plan else None
@@ -93,7 +94,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
 
 
 def is_plain(solver: Any, target: Any, several: bool) -> bool:
-    """Return whether `target` is what compiled code takes: poses of one tip as floats, (4, 4) or, if `several`, (N, 4, 4)."""
+    """Return whether `target` needs no conversion: an array of floats with a pose (4, 4) or, if `several`, with poses (N, 4, 4)."""
     return type(target) is np.ndarray and target.dtype is FLOAT and target.shape[several:] == solver._pose == (4, 4)
 
 
@@ -120,7 +121,8 @@ def _find(
         found = search_solutions(plan, T, kinds, start, starts, count)
     found = on_all_turns(found, plan, T[0], kinds, start[0], count) if all_turns else found
     listed = len(found)
-    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
+    # a margin of 0.0 [m] is a request, too
+    if o.avoid_collisions is not False and len(found):
         model = collision_model(plan.robot, o.avoid_collisions)
         found = _without(found, [not model.collides(x) for x in found.q], "of them collide and are left out")
     if o.check:
@@ -135,13 +137,13 @@ def _find(
     if not len(found):
         failed = solver(target, q0)
         if failed.success:
-            # This answer lies on a self-motion between its listed samples, or within the tolerances of an exact solution that
-            # breaks a limit.
+            # The solver found a solution that is not in the list: it lies on a self-motion between the listed samples, or beside an
+            # exact solution that breaks a limit by less than the tolerances.
             turned = None if failed.orientation_error is None else np.array([failed.orientation_error])
             errors = np.array([failed.position_error]), turned
             distance = np.linalg.norm((failed.q - start) / plan.robot.chain.unit, axis=1)
             found = Solutions(plan.robot, failed.q[None], distance, errors, False, failed.solver, failed.message)
-        elif not (listed and found.complete):  # a complete list already says why all its solutions are left out
+        elif not (listed and found.complete):  # The message of a complete list says already why it is empty.
             found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
@@ -159,9 +161,10 @@ def _without(found: Solutions, good: list[bool], why: str, whole: bool = True) -
 
 
 def on_all_turns(found: Solutions, plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions:
-    """Return each solution with all shifts by 2 pi k inside the limits, nearest to start (n,) first; at most `count` of them.
+    """Return the solutions with every multiple of 2 pi added to each joint that its limits allow, nearest to start (n,) first.
 
-    Merging solutions are known only to about 1e-7 rad, so one just beyond a limit is put on it and kept if it meets the tolerances.
+    At most `count` are returned. Where two solutions merge, they are known only to about 1e-7 rad, so one just beyond a limit is
+    put on the limit and kept if it meets the tolerances.
     """
     robot = plan.robot
     if not plan.options.limits:
@@ -260,7 +263,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     if families and len(result) > count:
         result = spread_rows(result, count)
     if made.certificate is not None:
-        result._put(branches=None)  # The elimination's solutions have no shoulder, elbow and wrist signs.
+        result._put(branches=None)  # Solutions by elimination are not labelled by shoulder, elbow and wrist.
         result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)
     return result
 
@@ -278,10 +281,11 @@ def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
 
 
 # ------------------------------------------------------------------------------------------------------------- free rotations
-# A free rotation acts like one more revolute joint at the tip. Five revolute joints and a target with one free rotation make six;
-# so do three revolute joints and a position, which leaves three rotations free.
+# The elimination solves arms of six revolute joints. A rotation that the target leaves free acts like one more revolute joint at
+# the tip. So it also solves five revolute joints with one free rotation, and three revolute joints with a position, which leaves
+# three rotations free.
 def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
-    """Return the axes (M, 3) of the tip about which it may turn, if the target has no other freedom; None otherwise."""
+    """Return the tip axes (M, 3) about which the target leaves rotation free; None if it leaves anything else free, or nothing."""
     robot, (counts, *others) = plan.robot, what_counts(plan.robot, plan.options)
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
@@ -296,21 +300,25 @@ def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
 def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
     """Return the array (52,) of `make_arm` for an arm with each free rotation of its target added as a revolute joint at the tip.
 
-    None unless these are six joints in all.
+    Returns None unless joints and free rotations are six in all.
     """
     robot, axes = plan.robot, free_axes(plan, kinds)
     if axes is None or robot.n + len(axes) != 6 or len(plan.held) or robot.slides.any():
         return None
     screws = read_screws(robot.chain)
     if isinstance(screws, str) or robot.mobility.directions < robot.n or robot.mobility.moves < 3:
-        return None  # A planar arm has infinitely many solutions, or none.
+        return None  # not for an arm whose tip moves in a plane, which has infinitely many solutions or none
     lines = np.vstack([screws.axis, axes @ screws.T[:3, :3].T])
     points = np.vstack([screws.point, np.repeat(screws.T[None, :3, 3], len(axes), axis=0)])
     return make_arm(lines, points, screws.T)
 
 
 def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions | None:
-    """List all solutions within limits of T (1, 4, 4), nearest to start (1, n) first; None if they are not certified to be all."""
+    """List all solutions within limits of a target T (1, 4, 4) that leaves rotations free; None if the list is not certified.
+
+    The nearest to start (1, n) comes first, and at most `count` are listed. Each free rotation counts as a joint of the arm (see
+    `loop_of`).
+    """
     if (key := ("virtual joints", kinds)) not in plan.memo:
         plan.memo[key] = loop_of(plan, kinds)
     arm = plan.memo[key]
@@ -328,7 +336,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
     into_limits(Q, np.vstack([plan.box, start]), q, excess)
     worst = excess.max(axis=1, initial=0.0)
     if ((worst > 0.0) & (worst < BORDER)).any():
-        return None  # Rounding decides whether a solution so close to a limit keeps it.
+        return None  # Rounding decides whether this solution is inside the limit, so the list cannot be certified.
     legal = q[worst == 0.0]
     found = search_solutions(plan, T, kinds, start, 0, count, legal)
     if len(found) != len(legal) or found.families:
@@ -342,7 +350,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Return Solutions sampled from self-motions of a seven-joint arm at T (1, 4, 4), or None; and a text on what was searched."""
+    """Return samples of a seven-joint arm's self-motions at T (1, 4, 4) as Solutions, or None, and a text on what was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
@@ -369,7 +377,7 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
 
 
 def family_of(robot: Any, curve: SelfMotion) -> Family:
-    """Return a self-motion curve as a Family for the user: the joint that moves most leads, with its range."""
+    """Return a self-motion curve as a Family, with the range of the joint that moves most along it."""
     width = curve.upper - curve.lower
     order = [int(i) for i in np.argsort(-width, kind="stable") if width[i] > FOLLOWING.same]
     names, lead = robot.joint_names, order[0]

@@ -16,9 +16,11 @@ from .options import GROUPS
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
 from .task import all_errors, counted_rows, what_counts
 
-ATTEMPTS = 20  # number of starts of a search for the position of a pose alone
-FAINT = 1e-3  # weight of the orientation in a search for the position, so that the position comes first
-NEAR = 1e-4  # [length over the reach] position error at which a search for the position ends
+# After a failed pose, the position alone is searched for from ATTEMPTS starts, to say whether the orientation is the obstacle.
+ATTEMPTS = 20
+# weight of the orientation error while the position of a failed pose is searched for; small, so that position comes first
+FAINT = 1e-3
+NEAR = 1e-4  # [length over the reach] position error at which the search for the position of a failed pose ends
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -35,7 +37,8 @@ ADVICE = {
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
 
-# If a closed form fails, the configuration returned is the best that it or the search after it found.
+# Messages for solves by a closed form. The closest configuration they speak of is the best that the closed form, or the iterative
+# search after it, has found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",
     Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the closest configuration found is {left} away{at}",
@@ -44,7 +47,8 @@ CLOSED_FORM_SAYS = {
         "{left} away{at}; widen the limits or move the target"
     ),
 }
-SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # statuses of a failed search
+# statuses with which a search gives up without proof; the message then suggests what to try
+SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)
 ASK_LESS = "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
 
 
@@ -131,15 +135,15 @@ def _cause(result: Any) -> str:
     if known := why_missed(result):
         return known
     if result._of.plan.options.priority is not None or result.restarts == 0:
-        return ""  # a single attempt proves nothing about the arm
+        return ""  # A single attempt may fail for reasons that do not lie in the arm.
     return "; ".join(filter(None, [position_alone(result, False), _advice(result)]))
 
 
 def why_missed(result: Any) -> str:
-    """Say which limit, or what in the arm's structure, keeps it from the target, and what to try; or return ''."""
+    """Return a sentence on which limit, or what in the arm's structure, keeps the tip from the target, and what to try; or ''."""
     if result.status not in SHORT:
         return ""
-    # With a priority, lower levels may be missed, so too few joints are not given as the cause.
+    # With the option `priority`, errors of lower priority need not be met, so too few joints are not named as the cause.
     ordered = result._of.plan.options.priority is not None
     outside = "" if ordered else _outside(result)
     if outside:
@@ -193,10 +197,10 @@ def _said(position: float, turned: float | None, unit: bool) -> str:
 
 
 def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
-    """Return each tip's position and orientation error without the weights of the mask, and whether these are in [m] and [rad].
+    """Return each tip's position and orientation error without the weights of `mask`, and whether they are in [m] and [rad].
 
-    In a solved row of a batch, which keeps no target, weights other than 0 and 1 cannot be removed: the errors are returned with
-    them.
+    The weights are removed by computing the errors again. That needs the target, which a solved row of a batch does not keep, so
+    such errors are returned with the weights, and are then not in metres and radians.
     """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
@@ -254,7 +258,7 @@ def _failure(result: Any, left: str, tried: str) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        # A tip that comes nearer to its target than the bound does so with another orientation: the bound is that of its wrist.
+        # The bound is for the wrist at the target's orientation. With another orientation the tip may come nearer than the bound.
         beyond = [
             f"{tip} by {length(x)}{' with its orientation kept' * (x > position)}"
             for tip, x, (position, _) in zip(robot.tips, result._of.excess(), unweighted(result)[0], strict=True)
@@ -301,7 +305,8 @@ def impossible(result: Any) -> list[str]:
     ):
         first = {group for tip, group in o.priority[0] if tip in ("", arm.tip)} if o.priority else set(GROUPS)
         free, of_base = kind[1] if isinstance(kind, tuple) else one.free_turn, False
-        if free is None and angles.sum() == 2:  # a mask or slack frees the turn about one axis
+        # Two of three rotation errors count, so `mask` or `slack` leaves the turn about one axis free.
+        if free is None and angles.sum() == 2:
             free, of_base = np.where(angles, 0.0, 1.0), one.frame == "base"
         if kind == KIND.free or o.relative_to or not first:
             continue
@@ -330,7 +335,8 @@ def too_few_joints(result: Any) -> str:
     of, texts = result._of, []
     rows = counted_rows(result.robot, of.kinds, of.plan.options).reshape(-1, 2, 3).sum(axis=2)
     for arm, (lengths, angles) in zip(result.robot.arms, rows.tolist(), strict=True):
-        # An error component that no joint changes needs no joint: either it is zero, or `impossible` names it.
+        # An error component that no joint changes is not counted among those that need a joint: it is either zero, or `impossible`
+        # names it as the cause.
         still = {0: 3, 1: 2, 3: 0}.get(arm.mobility.turns, 0)
         fixed = max(0, lengths - len(arm.mobility.normals)) + max(0, angles - still)
         able = arm.mobility.directions
@@ -343,7 +349,7 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Return a sentence which says that a pose's position can be reached, and how large the orientation error then is; or ''.
+    """Return a sentence that the position of a failed pose can be reached, with the orientation error left there; or ''.
 
     turned: whether another sentence already tells the orientation error, which is then left out.
     """

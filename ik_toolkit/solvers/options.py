@@ -12,13 +12,14 @@ from ..errors import InvalidOption, doubt_angles, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 from ..robot.pose import named_axis
 
-# With these values a solve neither chooses among answers nor improves one. Solves that look for several answers are made with them.
+# Values of the options that turn off choosing among solutions and improving one. Searches that only collect solutions use them.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
-MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # evaluations in the first run of a solve with a timeout, about 0.25 ms; after each run the clock is read
-FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may move this far
+MAX_ITERATIONS = 1_000_000  # upper bound on the value of the option max_iterations
+# A solve with a timeout runs in pieces and reads the clock after each. The first has SLICE evaluations, which take about 0.25 ms.
+SLICE = 256
+FOLLOW = 0.5  # [rad, or length over the reach] with the option follow=True no joint may move farther than this from q0
 WORDS = {
     "objective": ("mid-range", "reference", "manipulability"),
     "q0_outside": ("clamp", "refuse"),
@@ -28,9 +29,9 @@ OTHERWISE = {  # names of options in other packages, each with a message that sa
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
-# The options in COUNTING say which part of the errors counts; each is one value for every tip, or a dict by tip.
+# Names of the options that say which part of a tip's pose error counts. Each is one value for every tip, or a dict by tip.
 COUNTING = ("mask", "slack", "free_turn", "frame")
-GROUPS = ("position", "orientation")  # the errors of a tip, as `priority` orders them
+GROUPS = ("position", "orientation")  # the two groups of a tip's errors that the option `priority` can put in order
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class Options:
 
     @property
     def budget(self) -> int | None:
-        """Largest number of FK evaluations of the first run of the search, or None; with a timeout, longer runs follow."""
+        """Largest number of FK evaluations of the search (with a timeout: of its first, shortest run); None for no limit."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
@@ -176,7 +177,7 @@ class SolveOptions(AllOptions, total=False):
 
 
 def avoided(value: Any) -> bool | float | CollisionModel:
-    """Return the value of `avoid_collisions`: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
+    """Check a value of the option avoid_collisions: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
     if isinstance(value, CollisionModel):
         return value
     if value is None or isinstance(value, bool | np.bool_):
@@ -251,7 +252,7 @@ def _groups_of(entry: Any) -> list[tuple[str, str]]:
 
 
 def _tolerance(name: str, value: Any) -> float:
-    number = _number(name, value, 1e-14)  # a smaller error is below rounding
+    number = _number(name, value, 1e-14)  # A tolerance below 1e-14 is smaller than the rounding of the error itself.
     if name == "orientation_tolerance" and number >= math.pi:
         doubt_angles(name, {"": number})
     return number
@@ -271,7 +272,7 @@ def _whole(name: str, value: Any) -> int:
 
 
 def _switch(name: str, value: Any) -> bool:
-    if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
+    if not isinstance(value, bool | np.bool_):  # only True or False, because a text such as "no" counts as true
         hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
         raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
     return bool(value)
@@ -316,7 +317,8 @@ def _relative_to(name: str, value: Any) -> dict[str, str] | None:
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:
-    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1
+    # Besides numbers, booleans ("b") are accepted: True counts as 1.
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
         raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
     return tuple(array.tolist())
@@ -335,7 +337,7 @@ def _number(name: str, value: Any, low: float = 0.0, high: float = math.inf) -> 
 
 READERS: dict[
     str, Callable[[str, Any], Any]
-] = {  # for each option, what checks a value of it and makes it what Options keeps
+] = {  # for each option, the function that checks a value given by the user and converts it to the one stored in Options
     **dict.fromkeys(("position_tolerance", "orientation_tolerance"), _tolerance),
     **dict.fromkeys(("max_iterations", "restarts", "max_evaluations", "seed"), _whole),
     **dict.fromkeys(("limits", "wrap", "closest", "history", "check"), _switch),

@@ -26,24 +26,28 @@ from .registry import GENERAL, find_row, search_for
 from .rows import Row
 from .task import group_levels, kernel_tasks, relatives, what_counts
 
-# The compiled search works with this share of each tolerance, so that Pinocchio does not reject an answer for rounding.
+# The compiled search multiplies each tolerance by MARGIN, so that rounding never makes Pinocchio reject an answer at the very
+# tolerance.
 MARGIN = 1.0 - 1e-9
-# A plan caches arrays for this many kinds of target. Each axis about which a target may turn makes another kind.
+# A plan caches option arrays for KINDS_KEPT kinds of target (pose, position, ...). Each tip axis about which a target may turn is a
+# kind of its own, so there may be many.
 KINDS_KEPT = 64
-CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
+CLOSEST = 16  # With the option closest=True, the nearest to q0 of this many solutions found is taken.
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
 class Plan:
-    """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
+    """A solver made ready for one robot and its options: the compiled function, the arrays that it takes, and what runs after it.
 
     `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the indices in q of
-    the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
+    the joints with weight 0; `steps` are the functions that check and improve an answer, `improving` those that improve it (see
+    `postprocess.finishing`).
     """
 
-    bare = False  # whether failures of a batch are left where the search ended, see `stripped`
+    # whether a failed target of a batch keeps the q at which its search ended, instead of the closest one; see `stripped`
+    bare = False
 
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
         """Validate what does not depend on the target. Raises UnknownSolver (for example a method for one tip), InvalidOption."""
@@ -75,7 +79,7 @@ class Plan:
 
     @functools.cached_property
     def descends(self) -> bool:
-        """Whether a failure's q is moved to the configuration nearby that is closest to the target.
+        """Whether, after a failure, q is moved to a local minimum of the error, so that the tip is as near the target as possible.
 
         True for the general search, also after a closed form, unless `follow` is given. The published methods keep the
         configuration at which they ended.
@@ -87,19 +91,19 @@ class Plan:
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
 
     def stripped(self) -> "Plan":
-        """Return this plan, but with failures of a batch left where the search ended, for callers that only count successes."""
+        """Return a copy of this plan, for callers that count successes: a failed target keeps the q at which its search ended."""
         made = copy.copy(self)
         made.bare = True
         return made
 
     @functools.cached_property
     def unlimited(self) -> "Plan":
-        """The same plan without limits and with a few attempts, to test whether limits block a target."""
+        """A copy of the plan without joint limits, with a few attempts, to test whether limits are what blocks a target."""
         return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **self._few})
 
     @functools.cached_property
     def retried(self) -> "Plan":
-        """The same plan with as many attempts as `unlimited`, to test whether further ones reach the target inside the limits."""
+        """A copy of the plan with limits and as many attempts as `unlimited`, to test whether limits really block a target."""
         return self.varied(**{**PLAIN, "follow": 0.0, **self._few})
 
     @property
@@ -130,13 +134,13 @@ class Plan:
     # ---------------------------------------------------------------------------------------------------------- running
     @property
     def first(self) -> "Plan":
-        """The plan that runs first; `decide` may then solve the targets that this plan leaves unsolved."""
+        """The plan that solves first; targets that it leaves unsolved are passed to the method `decide`."""
         return self
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Solve in another way, in place, the result rows `out` (N, width) of targets that the plan `first` has left unsolved.
+        """Solve the targets that the plan `first` left unsolved, and change their result rows in `out` (N, width); here: nothing.
 
-        Arguments as for `run`. This class has no other way and changes nothing.
+        Arguments as for `run`. A subclass with a second way to solve overrides this method.
         """
 
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
@@ -158,9 +162,10 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve one target T (1, ...) from start (1, n); return its result row (width,) and its history.
+        """Solve one target T (1, ...) from start (1, n), recording each evaluation; return its result row (width,) and history.
 
-        ready: what the method `ready` returns; count: largest number of history rows, each of SIZE.past + n numbers.
+        ready: what the method `ready` returns; count: largest number of history rows. A row has SIZE.past + n numbers: errors and
+        attempt, then q.
         """
         chain, orders = ready
         out = np.empty(self.width + count * (SIZE.past + self.robot.n))
@@ -196,9 +201,9 @@ class Plan:
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, table of starts, and their features.
+        """Return the arrays that describe the robot to the compiled search: rows, ends, table of starts, and their features.
 
-        In every start of the table, joints with weight 0 have the values of the first row of `start`.
+        In every start of the table, joints with weight 0 have their values in the first row of `start` (1 or N, n).
         """
         found = self._table(kinds[0] == KIND.position)
         if self._plain:
@@ -279,10 +284,10 @@ class Plan:
         return start, f"{notice}; {clamped}" if notice and clamped else notice or clamped
 
     def check_starts(self, Q: np.ndarray, name: str = "q0") -> tuple[np.ndarray, str]:
-        """Validate starts Q (1 or m, n), and clamp them into the limits or refuse them; return them and a notice.
+        """Validate start configurations Q (1 or m, n); return them, clamped to the limits if the options say so, and a notice.
 
-        Of several starts, the one farthest outside the limits is checked for values in degrees. Raises InvalidConfiguration, which
-        names the target.
+        Of several starts, the one farthest outside the limits is checked for values that look like degrees. Raises
+        InvalidConfiguration, which names the target whose start is wrong.
         """
         robot, k = self.robot, 0
 
@@ -291,7 +296,8 @@ class Plan:
 
         if len(Q) > 1:
             meant = (robot.lower <= Q) & (robot.upper >= Q) & (robot.upper - robot.lower < np.inf)
-            # the first start with a NaN, else the one with the largest joint value outside its limits
+            # index of the start that is checked in detail: the first with a NaN, else the one with the largest joint value outside
+            # limits
             k = int(np.where(meant, 0.0, np.abs(Q)).max(axis=1).argmax())
         robot.check_q(Q[k], called(k))
         inside = np.clip(Q, robot.lower, robot.upper) if self.options.limits else Q
@@ -326,7 +332,7 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
     ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
     ends[..., POINTS + 4 * n + held] = at
-    ends[..., POINTS + 5 * n + held] = 0.0  # Random starts then have no spread in these joints.
+    ends[..., POINTS + 5 * n + held] = 0.0  # Random starts do not vary in these joints.
     return with_seeds(rows, ends, seeds)
 
 

@@ -20,18 +20,20 @@ from .status import DECIDED, Status, constraints_of
 from .task import POSES, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
-FEW = 20  # number of attempts, without limits and with them, that test whether limits keep the arm from a target
-# statuses of failures whose q is moved to the closest configuration nearby
+# To test whether limits keep the arm from a target, the target is solved again with FEW attempts, without limits and with them.
+FEW = 20
+# If a solve fails with a status in ENDED, q is moved to a local minimum of the error.
 ENDED = (CODE.stalled, CODE.limit_blocked, CODE.unreachable)
 
 
 class Limits(NamedTuple):
-    """Limits on the work done after a search to improve its answer or explain its failure."""
+    """Limits on the work that is done after a search, to improve its answer or to explain its failure."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
-    # After a failure with a length_scale given, the error is also minimised from this many random configurations.
+    # After a failure, if the option length_scale is given, the error is also minimised from `begins` random configurations.
     begins: int = 20
-    # Each run of a timed search is this many times as long as the last and repeats it, which costs at most a third more.
+    # A search with a timeout runs again and again from the beginning, each run `growth` times as long as the last. With a factor of
+    # 4 the repetition costs at most a third more.
     growth: int = 4
 
 
@@ -39,10 +41,13 @@ MOST = Limits()
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-    """Return the finishing steps of a single call, and those that improve an answer, according to a plan's options."""
+    """Return the functions to run after a single solve, by a plan's options, and those among them that improve the answer.
+
+    Each takes and returns a `SolveRecord`.
+    """
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
-    if o.avoid_collisions is not False:  # 0.0 is a margin [m], not False
+    if o.avoid_collisions is not False:  # a margin of 0.0 [m] is a request, too
         from .collision_free import avoiding
 
         improving = (avoiding(plan, improving),)
@@ -56,10 +61,10 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Return the record of a failed search after what a failure is due: more time if allowed, a test of limits, the closest q."""
+    """Return the record of a failed search after more time if allowed, a test whether limits are the cause, and moving q closer."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    # TOO_FAR, which may occur in every cycle of a control loop, is not among these.
+    # ENDED leaves out TOO_FAR, because this status may occur in every cycle of a control loop, which has no time for more work.
     if outcome.row[AT.status] in ENDED:
         _finish(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
@@ -74,9 +79,10 @@ def finish_failures(
     rows: np.ndarray,
     ended: tuple[int, ...] = ENDED,
 ) -> None:
-    """Finish, in place, those result rows (m, width) of failed searches whose status is one of `ended` (see `_finish`).
+    """Test whether limits caused the failures of a batch, and move each q closer to its target; changes result rows in place.
 
-    T (m, 4, 4), for several tips (m, F, 4, 4): targets; kinds, start (1 or m, n), given: as for `Plan.run`.
+    Only the rows (m, width) with a status in `ended` are changed, as `_finish` says. T (m, 4, 4), for several tips (m, F, 4, 4):
+    targets; kinds, start (1 or m, n), given: as for `Plan.run`.
     """
     these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
     if len(these):
@@ -96,7 +102,7 @@ def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bo
         if row[AT.status] == CODE.limit_blocked and plan.options.limits and row[AT.excess] != DECIDED:
             asked = T[k : k + 1], kinds, start[k : k + 1], given
             blocked = plan.unlimited.solve(*asked)[AT.status] == CODE.converged
-            few = row[AT.restarts] + 1 < FEW  # A search of at least FEW attempts has made these attempts already.
+            few = row[AT.restarts] + 1 < FEW  # A search that had FEW attempts or more need not be repeated with FEW.
             if not blocked or (few and plan.retried.solve(*asked)[AT.status] == CODE.converged):
                 row[AT.status] = CODE.stalled
     if plan.descends:
@@ -161,7 +167,7 @@ def extend(outcome: Any) -> Any:
 
 
 def record(outcome: Any) -> Any:
-    """Run the solve again with room for the history; the evaluations of the first run tell how many rows are needed.
+    """Solve again and record the history of all iterations, which needs an array whose length is known only after the first run.
 
     If the answer was then shifted by 2 pi nearer to the start, or a failure moved to the closest configuration, this final q was
     evaluated after the search, so it is the last row.
@@ -175,14 +181,14 @@ def record(outcome: Any) -> Any:
         history = np.vstack([history, [last[AT.position], last[AT.rotation], last[AT.attempt], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
-    # Rows of a closed form and of the search after it all count as attempt 0.
+    # A closed form has no attempts, so its row and those of the search after it are all numbered 0.
     attempt = history[:, 2].astype(int) * (not plan.row.closed)
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, SIZE.past :]}
     return outcome._replace(history=columns | {"attempt": attempt})
 
 
 def improve(outcome: Any) -> Any:
-    """Improve a solution's `objective` (an option) by motion in the null space; its row gets the better q and the errors there."""
+    """Improve the `objective` that the options name by moving a solution in its null space; return the record with the better q."""
     from ..kernel.null_space import OBJECTIVE, refine
 
     plan, row = outcome.plan, outcome.row
@@ -192,7 +198,7 @@ def improve(outcome: Any) -> Any:
     orders = plan.orders(outcome.kinds, outcome.given)
     refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, MOST.improving)
     q = row[SIZE.answer : SIZE.answer + plan.robot.n]
-    # The best q often lies at the border of a tolerance, where rounding decides.
+    # The better q is taken only if Pinocchio confirms it: it often lies at the very edge of a tolerance, where rounding decides.
     return outcome._replace(row=row) if confirmed(plan, q, outcome.T[0], outcome.kinds) else outcome
 
 
@@ -225,7 +231,7 @@ def keep_constraints(outcome: Any) -> Any:
 
 
 def mark_open(plan: Any, rows: np.ndarray) -> None:
-    """Set the status CONSTRAINT_OPEN in converged rows (m, width) whose q breaks a constraint of the robot's description."""
+    """Set the status CONSTRAINT_OPEN in converged result rows (m, width) whose q breaks a constraint of the robot's description."""
     if plan.robot.constraints:
         for k in np.flatnonzero(rows[:, AT.status] == CODE.converged):
             if not constraints_of(plan.robot, rows[k, SIZE.answer : SIZE.answer + plan.robot.n], plan.options).holds:

@@ -48,7 +48,8 @@ def _call(robot: Any, name: str) -> bool:
     far = T.copy()
     far[..., :3, 3] += 9.0 * robot.reach
     calls.append(lambda: Solver(robot, name)(far))
-    if name == "auto":  # A pose that only the limits forbid goes to the elimination, which also lists all solutions.
+    # A pose that no configuration inside the limits reaches makes the solver run, and so compile, the elimination as well.
+    if name == "auto":
         beyond = robot.chain.forward(robot.home + 2.0)[0][0]
         calls += [lambda: Solver(robot)(beyond), lambda: Solver(robot).all(T, starts=1)]
     for call in calls:

@@ -17,11 +17,11 @@ from .options import make_options
 from .registry import make_rule
 
 FOLDER = Path(__file__).with_name("presets")
-LARGEST = 16_000_000  # Limit on the bytes of a preset file.
+LARGEST = 16_000_000  # largest size of a preset file that is read [bytes]
 
 
 def list_presets(solver: str) -> list[str]:
-    """Return the names of the shipped presets of a solver."""
+    """Return the names of the presets (published or tuned parameters) of a solver that come with this package."""
     return sorted(path.stem for path in (FOLDER / solver).glob("*.toml"))
 
 
@@ -64,7 +64,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 
 
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
-    """Make a solver of a registry row from a preset, with some parameters (`values`) changed. Raises InvalidOption."""
+    """Make a solver with the parameters and options of a preset, some parameters (`values`) changed. Raises InvalidOption."""
     cls = row.load()
     made = make_rule(row, values or {})  # raises InvalidOption for a parameter that does not exist
     if cls.preset is None:
@@ -73,7 +73,7 @@ def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
-    """Return the starts of a solver as an array (M, n), clipped to the robot's limits. Raises InvalidOption."""
+    """Check the starts given to a solver; return them as an array (M, n), clipped to the limits. Raises InvalidOption."""
     array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(
@@ -87,7 +87,7 @@ def write_preset(
 ) -> None:
     """Write the parameters and options of a solver to a preset file, for `--preset FILE` and `preset(FILE)`.
 
-    about: further entries at its top, such as the robot; numbers are written without loss.
+    about: further entries at the top of the file, such as the robot's name. Numbers are written with all their digits.
     """
     lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
     for title, table in (("parameters", parameters), ("options", options)):

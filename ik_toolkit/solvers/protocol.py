@@ -26,14 +26,15 @@ from .rows import Row
 from .task import counted_rows, counts_in_part
 
 Class = TypeVar("Class", bound=type)
-SHOWN = 16  # number of samples of a self-motion that an explanation shows
+SHOWN = 16  # An explanation of a solve shows this many samples of a self-motion.
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The task of a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
+    """What a solver is asked to do: the robot, the kind of each tip's target, whether the caller gives q0, and the options.
 
-    Kinds are those of `kernel.counted_error.TargetKinds`, or a pair (AXIS, axis).
+    A kind is pose, position or free (`kernel.counted_error.TargetKinds`), or a pair (AXIS, axis) for a target that leaves the
+    turn about a tip axis free.
     """
 
     robot: Any
@@ -48,9 +49,9 @@ class Asked:
 
     @property
     def span(self) -> np.ndarray:
-        """Orthonormal basis (6 F, r) of the errors that the joints can change at all, lengths over the scale.
+        """Orthonormal basis (6 F, r) of the pose errors of the F tips that some joint motion can change at all.
 
-        A planar arm's position has two, not three.
+        The position of a planar arm, for example, adds two columns, not three. Lengths are divided by the robot's length scale.
         """
         rng = np.random.default_rng(0)
         Q = np.array([self.robot.random_q(rng) for _ in range(4)])
@@ -62,14 +63,15 @@ class Asked:
 
     @property
     def rows(self) -> int:
-        """Number of independent errors that the joints can change at all."""
+        """Number of independent pose errors that the joints of the robot can change."""
         return self.span.shape[1]
 
 
 class Rule(Protocol):
-    """One step of an iterative method (a solver rule).
+    """Base class of iterative solvers: a rule computes one step dq from the error and the Jacobian.
 
-    `step(p, e)` is compiled, writes p.desk.dq (n,) and returns 0, SINGULAR_STEP or WAITING (see `solvers.rules`).
+    The search around it tests, counts and restarts. `step(p, e)` is compiled; p is the problem (robot and target), e the error.
+    It writes the step to p.desk.dq (n,) and returns 0, SINGULAR_STEP or WAITING (see `solvers.rules`).
     """
 
     hold = False
@@ -93,11 +95,11 @@ class Rule(Protocol):
         return ""
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return starts (M, n) [rad or m] to choose from if no q0 is given; None, the default, means home or precomputed starts."""
+        """Return this rule's own starts (M, n) [rad or m] for attempts without q0; None means the robot's usual ones."""
         return None
 
     def options(self) -> dict[str, Any]:
-        """Return the options of the preset from which the rule was made (its field `tuned`); the caller's take precedence."""
+        """Return the options of the preset from which the rule was made (its field `tuned`), used where the caller gives none."""
         return dict(getattr(self, "tuned", None) or {})
 
     def loop(self, robot: Any) -> Callable:
@@ -117,11 +119,11 @@ class ClosedForm(Protocol):
 
     @staticmethod
     def recognise(chain: Any) -> Fit:
-        """Return whether, and how exactly, the geometry of a chain suits this closed form, and the parameters it then needs."""
+        """Return a Fit: whether, and how exactly, the geometry of a chain suits this closed form, and the parameters for it."""
         ...
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all branches of T (4, 4), and about `count` samples of a self-motion.
+        """Return all solutions (branches) of the target T (4, 4); of a continuum of them (self-motion), about `count` samples.
 
         p is the result of `pack`; box (4, n) has lower limits, upper limits, reference configuration [rad or m] and distance
         weights.
@@ -148,7 +150,7 @@ class ClosedForm(Protocol):
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Return {index in q: value [rad or m]} of joints that the closed form's parameters fix; by default there are none."""
+        """Return {index in q: value [rad or m]} of the joints that parameters of this closed form hold fixed; by default none."""
         return {}
 
     preset, space = Rule.preset, Rule.space
@@ -157,8 +159,9 @@ class ClosedForm(Protocol):
     def loop(self, robot: Any) -> Callable:
         """Return a function that solves; by default it takes the nearest branch of `every` that meets the tolerances.
 
-        It is called as solve(rows, ends, seeds, features, T, Q0, out, orders, history): arrays of the chain; targets,
-        starts and orders as for `kernel.search.entry`; the rows to write, of results and of the history of one target.
+        The function is called as solve(rows, ends, seeds, features, T, Q0, out, orders, history). The first four are arrays of
+        the chain; T, Q0 and orders are targets, starts and options as for `kernel.search.entry`; the results are written to
+        `out`, the history of a single target to `history`.
         """
         return nearest_of(self, robot)
 
@@ -257,7 +260,7 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 
 
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
-    """Return why a solver that fits the robot cannot do what is asked, or ''; messages put the solver's name before it."""
+    """Return why a solver cannot do a task although it fits the robot, or ''; the text is to follow the solver's name."""
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
@@ -272,7 +275,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 
 
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
-    """Return the numbers of the rule (`pack`) as an array (K,), for the compiled step.
+    """Return the parameters of a solver as an array (K,) of the numbers that its compiled code reads (see `pack`).
 
     Raises InvalidOption if one is missing, not finite, or complex.
     """

@@ -26,8 +26,8 @@ from typing import Any
 from ..errors import InvalidOption, UnknownSolver, near_match, nearest
 from .rows import CLOSED_FORM, ROWS, Row
 
-GROUP = "ik_toolkit.solvers"  # group of the entry points by which packages offer solvers
-# names have no commas or colons, which commands use in lists and in FILE:CLASS
+GROUP = "ik_toolkit.solvers"  # name of the entry-point group in which other installed packages declare solvers
+# Solver names may not contain commas or colons: commands read commas as separators of a list, and a colon as FILE:CLASS.
 NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")
 LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
@@ -37,12 +37,12 @@ BY_LEVELS = next(row.name for row in ROWS if row.levels)
 
 
 def search_for(priority: Any) -> str:
-    """Return the name of the default search, which depends on whether the option `priority` is given."""
+    """Return the name of the default iterative solver: 'sqp' if the option `priority` is given, otherwise 'lm'."""
     return GENERAL if priority is None else BY_LEVELS
 
 
 def list_rows() -> tuple[Row, ...]:
-    """Return the registry rows of our solvers, then those of other packages."""
+    """Return the registry rows (`Row`) of this package's solvers, then those of solvers in other installed packages."""
     return (*ROWS, *registered().values())
 
 
@@ -87,7 +87,7 @@ def _row(point: Any) -> Row:
         raise InvalidOption("ik_toolkit already has a solver of that name")
     if row.target.count(":") != 1:
         raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
-    # 'auto' takes only solvers of this package, because installing another package must not change answers.
+    # The solver 'auto' chooses only among solvers of this package, because installing another package must not change answers.
     return replace(row, joints=())
 
 
@@ -101,7 +101,7 @@ def find_row(solver: Any) -> Row:
             raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
         return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    if hasattr(cls, "loop"):  # the attribute `loop` is set by protocol.rule or protocol.closed_form
+    if hasattr(cls, "loop"):  # Every solver class has `loop`, set by its decorator.
         for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
             if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
                 return row
@@ -123,7 +123,7 @@ def _own(cls: type) -> Row:
 
 
 def solvers_with(parameter: str, known: Iterable[str]) -> str:
-    """Return a sentence that names our solvers with this parameter, to end a message with, or ''.
+    """Return a sentence that names this package's solvers with a parameter of this name, for the end of an error message; or ''.
 
     If no solver has it, and none of the valid names `known` is similar, the most similar parameter of any solver is taken instead.
     """

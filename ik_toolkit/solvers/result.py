@@ -21,8 +21,10 @@ from .registry import GENERAL
 from .status import DECIDED, SEARCHED, Status, constraints_of, is_proven
 from .task import all_errors, group_levels
 
-SINGULAR = 1e-8  # a singular value of the Jacobian (lengths over the scale) below this share of the largest counts as 0
-FAR_MOVE = 0.5  # [rad, or length over the reach] a `Solver` adds a notice if a joint moves farther than this from q0
+# A singular value of the Jacobian (lengths over the robot's length scale) below SINGULAR times the largest counts as 0.
+SINGULAR = 1e-8
+# [rad, or length over the reach] The result of a `Solver` gets a notice if a joint moved farther than FAR_MOVE from q0.
+FAR_MOVE = 0.5
 
 
 class Result(ReadOnly):
@@ -157,7 +159,7 @@ class Result(ReadOnly):
             at = self.robot.joint_names.index(joint)
             slide = self.robot.joint_kinds[at] == "prismatic"
             moved = f"joint {joint} moved by {length(amount) if slide else f'{amount:.3g} rad'}"
-            # A `Solver` without check is for loops, where moves are short; single solves may start far away.
+            # Without the option `check` the solve is part of a loop, where moves are short, so a shorter move is worth a notice.
             most = np.pi if of.plan.options.check else FAR_MOVE
             if self.attempt:
                 jump = f"q was found by attempt {self.attempt}, not from q0: {moved}; in a loop use follow=True"
@@ -215,18 +217,18 @@ class Result(ReadOnly):
 
     @property
     def proven(self) -> bool:
-        """Whether a failure is a proof that no joint values within the limits reach the target.
+        """Whether it is proven that no joint values within the limits reach the target.
 
-        For a success with `closest`, whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`). A
-        target is also proven unreachable by a bound from the link lengths or by a closed form that fits exactly. Such a form also
-        proves that limits block a target, unless a prismatic joint is free.
+        For a success with the option `closest`: whether it is proven that no solution is nearer to q0. The elimination certifies
+        both (see `Solutions.certificate`). A target is also proven unreachable by a bound from the link lengths or by a closed
+        form that fits exactly. Such a form also proves that limits block a target, unless a prismatic joint is free.
         """
         row = self._of.row
         return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan))
 
     @property
     def blocked(self) -> Blocked | None:
-        """The solution that breaks its limits least (`decide.Blocked`), if every solution is certified to break one, else None."""
+        """The solution that breaks the limits least (`decide.Blocked`) if every solution is certified to break one, else None."""
         return blocked(self)
 
     @property
@@ -271,9 +273,9 @@ class Result(ReadOnly):
     def derivative(self) -> np.ndarray:
         """Return how q follows a small motion x of the target: dq/dx (n, 6), or (n, 3) for a position.
 
-        By the implicit function theorem it is the inverse of the Jacobian. x is in base axes: a displacement [m], then a rotation
-        vector [rad]. Of several joint motions that follow x the smallest is chosen (angles [rad], lengths over the robot's
-        scale). Held joints stay; limits are ignored.
+        By the implicit function theorem, dq/dx is the inverse of the Jacobian. x is in base axes: a displacement [m], then a
+        rotation vector [rad]. Of several joint motions that follow x the smallest is chosen (angles [rad], lengths over the
+        robot's scale). Joints with weight 0 (option joint_weights) stay; limits are ignored.
 
         Raises:
             NotSolved: The solve failed, so q is not a function of the target.
@@ -299,7 +301,7 @@ class Result(ReadOnly):
         return made
 
     def explain(self) -> Explanation:
-        """Explain how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.
+        """Explain how q was computed: D-H table, formulas of the closed form with their numbers, branches, iterations.
 
         Returns:
             An Explanation, which `print` shows as text, a notebook with formulas.
@@ -374,5 +376,5 @@ class Result(ReadOnly):
         return TextTable(self.status.name, self.message, (), rows, color=color, most=100).html()
 
 
-# This setter writes to a Result although it is read-only, 0.25 us faster than object.__setattr__.
+# A Result is read-only, so its one attribute is set through the slot itself, 0.25 us faster than with object.__setattr__.
 keep = vars(Result)["_of"].__set__

@@ -9,12 +9,12 @@ from ..errors import IKError, UnknownSolver
 
 
 class Length(NamedTuple):
-    """Default limits on the length of a search.
+    """How many iterations and attempts a solver's search takes by default, and when it gives an attempt up.
 
     `give_up` is (C, rho, C_free, rho_free) or None: an attempt is given up at iteration k if the squared error |e|^2, lengths over
-    the reach, exceeds C rho^k; the second pair is for attempts from q0 and random starts, the first for those from the precomputed
-    table. Attempts from random starts may take twice the iterations. From attempt number `patience` on (not counting the one from
-    q0), attempts are given up later.
+    the reach, exceeds C rho^k; C and rho are for attempts from the table of precomputed starts, C_free and rho_free for those
+    from q0 and random starts. Attempts from random starts may take twice the iterations. From attempt number `patience` on (not
+    counting the one from q0) this bound is loosened, because only hard targets get so far.
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -88,7 +88,8 @@ ROWS: tuple[Row, ...] = (
         "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
-        # The bounds that end an attempt early were measured on six arms; easy targets are solved by attempt 20.
+        # The numbers in brackets are `give_up`, which ends a hopeless attempt early. They were measured on six arms; easy targets
+        # are solved by attempt 20.
         search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(40, 400, (60.0, 0.25, 200.0, 0.4)),
     ),
@@ -153,8 +154,8 @@ ROWS: tuple[Row, ...] = (
         "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
         "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
         "Nocedal and Wright 2006, ch. 18",
-        # If the arm has as many joints as there are errors, 48 attempts take all errors at once; then at most 30 take them by
-        # priority.
+        # If the arm has as many joints as the target has errors, the first 48 attempts reduce all errors together, the remaining 30
+        # in order of priority.
         search=Length(40, 78, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(60, 108, (60.0, 0.25, 200.0, 0.4)),
         tracks=False,

@@ -32,28 +32,32 @@ N = 7
 
 @compiled
 class MotionEnd(NamedTuple):
-    """Numbers for the reasons why a self-motion curve ends."""
+    """Codes for why a self-motion curve (joint motion that leaves the tip in place) ends."""
 
     closed: int = 0  # the curve is closed: it has returned to its beginning
     limit: int = 1
     singular: int = 2  # a singular pose, where the next step would be too short
-    long: int = 3  # the curve goes on, but the largest number of its points was reached
+    long: int = 3  # the curve goes on, but following it was ended at the largest number of points
 
 
 @compiled
 class ContinuationConstants(NamedTuple):
     """Constants of the numerical steps along a self-motion; joint values in rad, lengths over the arm's reach."""
 
-    slices: int = 64  # number of values at which a joint is fixed in turn, to find points where curves begin
+    # number of values at which the first or last joint is fixed; the solutions of the other six are points on self-motions
+    slices: int = 64
     longest: float = 0.1  # longest step [norm of the joint motion, rad]
     shortest: float = 1e-6  # shortest step [rad]; a curve that needs a shorter one ends at a singular pose
-    straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
-    newton: int = 8  # highest number of Newton steps that bring a point onto the target
-    closed: float = 1e-22  # squared error at which these Newton steps end
-    damping: float = 1e-12  # damping of these Newton steps
-    level: float = 1e-5  # a joint that moves by a smaller share of a step counts as reversing there
-    same: float = 1e-6  # a point lies on a curve if it is nearer than this [rad]
-    # the curve is also closed if it returns to its point number 64, 128, 256, ... (it may have switched to another curve)
+    # smallest cosine of the angle by which the curve may turn within one step; if it turns more, the step is shortened
+    straight: float = 0.99
+    newton: int = 8  # largest number of Newton steps that correct a point so that the tip is at its target again
+    closed: float = 1e-22  # squared pose error at which the Newton steps of a correction end
+    damping: float = 1e-12  # damping of the Newton steps of a correction
+    # a joint whose component of the unit tangent is below `level` counts as standing still, so it reverses at that very point
+    level: float = 1e-5
+    same: float = 1e-6  # [rad] a known solution lies on the curve if its distance from the curve is smaller
+    # Near a singular pose the steps may switch to another, closed curve, which never returns to the first point. So the curve also
+    # counts as closed if it returns to its point number `past`, 2 `past`, 4 `past`, ...
     past: int = 64
     halvings: int = 40  # number of bisections that locate an end of a curve
     points: int = 2000  # highest number of points of a curve in each direction
@@ -73,7 +77,7 @@ class SelfMotion(NamedTuple):
 
 @inline
 def onto_pose(p):
-    """Move the joints p.desk.q of the problem p by least motion onto its target; return whether it is met. Sets p.desk.J."""
+    """Correct p.desk.q by Newton steps until the tip is at the target of the problem p; return whether it is. Sets p.desk.J."""
     s = p.desk
     for _ in range(FOLLOWING.newton):
         e = p.evaluate(s.q)
@@ -90,7 +94,7 @@ def onto_pose(p):
 
 @inline
 def direction_at(p, box, t, u):
-    """Write to u (7,) the unit tangent of the self-motion at p.desk.q nearest the direction t (7,), and return their cosine."""
+    """Write to u (7,) the unit tangent of the self-motion at p.desk.q that is nearest direction t (7,); return the cosine u . t."""
     s, size, cosine = p.desk, 0.0, 0.0
     for i in range(N):
         s.w[i] = 1.0
@@ -106,7 +110,7 @@ def direction_at(p, box, t, u):
 
 @inline
 def step_along(p, box, q, t, h, x, u):
-    """Step h [rad] from q along t (7,) on the self-motion, to x with the tangent u (7,); return whether the curve bends little."""
+    """Fill x and u (7,) with the point a step h [rad] along tangent t from q, and its tangent; False if the curve bends much."""
     for i in range(N):
         p.desk.q[i] = q[i] + h * t[i]
     if not onto_pose(p):
@@ -120,7 +124,7 @@ def step_along(p, box, q, t, h, x, u):
 
 @inline
 def passes(p, box, q, t, h, point, x, u):
-    """Return whether a point (7,), modulo 2 pi, lies on the self-motion within the step h [rad] from q (7,) along t (7,)."""
+    """Return whether a point (7,), modulo 2 pi, lies on a self-motion between q (7,) and the end of a step h [rad] along t (7,)."""
     off, a = 0.0, 0.0
     for i in range(N):
         d = point[i] - q[i]
@@ -146,7 +150,7 @@ def passes(p, box, q, t, h, point, x, u):
 
 @inline
 def turning_point(p, box, q, t, h, i, x, u):
-    """Find by bisection the point x (7,) within the step h [rad] from q along t where joint i reverses; return the step to it."""
+    """Find the point x (7,) within a step h [rad] along t from q where joint i reverses; return the length of the step to it."""
     low, high = 0.0, h
     for _ in range(FOLLOWING.halvings // 2):
         middle = 0.5 * (low + high)
@@ -159,12 +163,13 @@ def turning_point(p, box, q, t, h, i, x, u):
 
 @cached
 def follow(rows, ends, opt, T, start, sign, seeds, seen, out):
-    """Follow the self-motion through `start` (7,) in one direction, without limits, and mark the seeds on it in `seen`.
+    """Follow a self-motion from `start` (7,) in one direction, ignoring limits, and list its points.
 
-    Every point where a joint reverses is added, so that each joint moves monotonically from point to point. rows, ends, opt:
-    geometry, limits and options of a plan's chain; T (4, 4): target [m]; sign: 1 for the direction of `first_direction`, -1 for the
-    other; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on a curve found so far. The curve is written to out (points, 7).
-    Returns the first and the last + 1 of its points, and the reason (`MotionEnd`) why it ends there.
+    The solutions `seeds` that the curve passes are marked in `seen`. Every point where a joint reverses is added, so that each
+    joint moves monotonically from point to point. rows, ends, opt: geometry, limits and options of a plan's chain; T (4, 4):
+    target [m]; sign: 1 for the direction of `first_direction`, -1 for the other; seeds (S, 7): solutions [rad]; seen (S,): 1 for
+    those on a curve found so far. The curve is written to out (points, 7). Returns the first and the last + 1 of its points, and
+    the reason (`MotionEnd`) why it ends there.
     """
     p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
@@ -195,7 +200,8 @@ def follow(rows, ends, opt, T, start, sign, seeds, seen, out):
         for k in range(seeds.shape[0]):
             if seen[k] == 0 and passes(p, box, q, t, step, seeds[k], y, v):
                 seen[k] = 1
-        # Near a singular pose the continuation may have switched to another, closed curve: then only that curve is kept.
+        # If the curve is back at an earlier point that is not the first, the steps have switched to another, closed curve near a
+        # singular pose. Only that curve is kept.
         for known in (0, past):
             if size > known + 3 and passes(p, box, q, t, step, out[known], y, v):
                 copy(y, out[size])
@@ -218,7 +224,8 @@ def first_direction(p, box, y, v, start):
         for k in range(N):
             y[k] = 1.0 if k == i else 0.0
         direction_at(p, box, y, v)
-        # A joint that does not move along the self-motion leaves a step of rounding errors, which points anywhere.
+        # Each joint's unit vector is projected onto the null space. The longest projection is taken, because that of a joint which
+        # hardly moves is mostly rounding error.
         if p.desk.dq[i] > best:
             best = p.desk.dq[i]
             copy(v, start)
@@ -226,7 +233,7 @@ def first_direction(p, box, y, v, start):
 
 @cached
 def cross(rows, ends, opt, T, a, b, i, value, y):
-    """Write to y (7,) the point between a and b (7,) on a self-motion where joint i has `value`; return its share of the way."""
+    """Write to y (7,) the point of a self-motion between a and b where joint i has `value`; return its place on the way, 0..1."""
     p = make_serial(rows, ends, opt[SIZE.orders :], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
     low, high = 0.0, 1.0
@@ -244,10 +251,11 @@ def cross(rows, ends, opt, T, a, b, i, value, y):
 
 
 def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any) -> list[SelfMotion]:
-    """Cut a self-motion, given by points (M, 7), at the joint limits (2, 7) [rad]; return the parts inside the limits.
+    """Cut a self-motion, given by points (M, 7) [rad], at the joint limits (2, 7) [rad]; return the parts inside the limits.
 
-    stops: why the curve ends on both sides (`MotionEnd`). A limit shifted by 2 pi k is also a limit. crossing(a, b, joint, value):
-    function that returns the point between a and b where the joint has that value, after its share of the way, as `cross` does.
+    stops: why the curve ends on both sides (`MotionEnd`). A limit shifted by 2 pi k is also a limit. crossing(a, b, joint,
+    value): function that finds the point between a and b where the joint has that value; it returns how far along the way the
+    point lies (0 to 1), then the point.
     """
     half = 0.5 * (limits[1] - limits[0])
     middle = np.where(np.isfinite(half), limits[0], 0.0) + np.where(np.isfinite(half), half, 0.0)
@@ -262,7 +270,8 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
 
-    # Within one step a joint may cross the whole range beyond its limits; two points are then added in that range.
+    # Within one step a joint may cross all angles outside its limits. Two points outside the limits are then added, so that the
+    # curve is cut there.
     rows, outer = [points[0]], 0.5 * (half + np.pi)
     for a, b in pairwise(points):
         passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi)).tolist()
@@ -275,13 +284,13 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         if not len(wrong):
             return [curve(points, ((END.closed, -1),) * 2)]
         turns = TAU * np.rint((points[-1] - points[0]) / TAU)
-        # The closed curve is begun at a point outside the limits.
+        # A closed curve has no ends, so its list of points is rotated to begin at one outside the limits, where it is cut anyway.
         points = np.vstack([points[wrong[0] :], points[1 : wrong[0] + 1] + turns])
     aside = off(points)
     bad = np.abs(aside) > half
 
     def at_limits(k: int, place: int) -> Iterator[tuple[float, np.ndarray, tuple[int, int]]]:
-        """Yield where between points k and k + 1 each joint beyond a limit at `place` meets it: share, point, (limit, joint)."""
+        """Yield (place on the way from k to k + 1, q, (END.limit, joint)) where a joint beyond a limit at `place` crosses it."""
         for i in np.flatnonzero(bad[place]).tolist():
             value = points[place, i] - aside[place, i] + np.copysign(half[i], aside[place, i])
             yield *crossing(points[k], points[k + 1], i, value), (END.limit, i)
@@ -303,16 +312,16 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
 
 
 class Slicing(NamedTuple):
-    """A reduction of a seven-joint arm to six joints: its first or its last joint is fixed."""
+    """A seven-joint arm with its first or last joint fixed, so that the solver for six revolute joints applies."""
 
-    joint: int  # index of the fixed joint, 0 or 6
+    joint: int  # index of the joint that is fixed: 0 (first) or 6 (last)
     screws: Screws
     arm: np.ndarray  # (52,) geometry of the six other joints, as `make_arm` returns it
-    forms: np.ndarray  # the orderings of the loop of these six joints, as `make_forms` returns them
+    forms: np.ndarray  # orderings of the closed loop of the six joints for the elimination, best first (`make_forms`)
 
 
 def slicings_of(plan: Plan) -> list[Slicing]:
-    """Return the ways to make six joints of the seven of a plan's arm by fixing an end one; none if arm or options forbid it."""
+    """Return up to two ways to solve a seven-joint arm with a six-joint solver (first or last joint fixed); [] if impossible."""
     if "slicing" not in plan.memo:
         plan.memo["slicing"] = _slicings(plan)
     return plan.memo["slicing"]
@@ -347,7 +356,10 @@ def sliced(cut: Slicing, T: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> list[SelfMotion]:
-    """Return the self-motions at T (4, 4) within the limits that are met at `slices` values of the first or last joint."""
+    """Find self-motions of a seven-joint arm at T (4, 4) inside the limits: those that solutions with a fixed joint lie on.
+
+    The first or last joint is fixed at `slices` values in turn. Self-motions along which it takes none of them are missed.
+    """
     cuts, limits = slicings_of(plan), plan.box
     limits = np.where(limits[1] - limits[0] >= TAU, [[-np.inf], [np.inf]], limits)  # a full turn covers every angle
     values, found = (np.arange(slices) + 0.5) / slices * TAU - np.pi, []

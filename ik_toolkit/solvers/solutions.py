@@ -68,7 +68,7 @@ class Solutions(ReadOnly):
 
     @functools.cached_property
     def certificate(self) -> Any:
-        """How complete the list is known to be, made when it is first read."""
+        """Evidence of how complete the list is (`Certificate`), or None; computed at the first access."""
         given = self._evidence
         return certificate_of(given) if isinstance(given, list) else given
 

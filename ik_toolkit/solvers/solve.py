@@ -33,10 +33,10 @@ from .result import Result
 from .solutions import Solutions
 from .task import POSES, read_target
 
-# options that choose or follow a single answer, which `solve_all` refuses
+# Options that choose or follow a single answer. `solve_all`, which returns every answer, refuses them.
 CHOOSING = ("closest", "objective", "history", "follow", "timeout")
-BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
-EXACT = {  # options that closed forms respect or may ignore; 'auto' chooses the search if any other option is given
+BOUND_KEPT = 64  # number of `Solver` objects that `solve` keeps in its cache for a robot
+EXACT = {  # options with which 'auto' may use a closed form; with any other option it uses the iterative search
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "length_scale", "limits", "q0_outside", "history", "check", "objective",
 }  # fmt: skip
@@ -71,7 +71,8 @@ class Solver(ReadOnly):
         auto = is_auto(solver)
         if auto and (owner := closed_form_with(robot, options)):
             solver, auto = owner, False
-        self._plans: dict[tuple, Plan] = {}  # plans for the kinds of target that self.plan does not serve
+        # plans for the kinds of target that 'auto' solves with another solver than self.plan
+        self._plans: dict[tuple, Plan] = {}
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (KIND.pose, KIND.position)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
@@ -81,7 +82,8 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        # Shape of a target array that needs no conversion; a Tree of one tip takes a list of targets.
+        # shape of a target array that needs no conversion; () if there is none, as for a Tree of one tip, which takes a list of
+        # targets
         self._pose = () if robot.by_tip and len(robot.tips) == 1 else robot.pose_shape
         self._kinds = POSES * len(robot.tips)
         self._seal()
@@ -102,7 +104,7 @@ class Solver(ReadOnly):
 
     @functools.cached_property
     def lister(self) -> Plan | None:
-        """The elimination's Plan, if that lists all solutions of a pose; None if another closed form or a search does."""
+        """The Plan with which the elimination lists all solutions of a pose; None if another solver does that for this robot."""
         plan = self.plan_for(POSES)
         if self.name == "auto" and not plan.row.closed:
             return elimination_plan(plan)
@@ -138,7 +140,8 @@ class Solver(ReadOnly):
             start, note = plan.check_start(q0)
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
-        # The compiled search rejected the input, which is now corrected, or refused with a message.
+        # The fast way above takes a target and q0 unchecked. If the compiled search has rejected one, it is now corrected and
+        # solved again, or refused with a message.
         status = row[AT.status]
         if status >= CODE.bad_target:
             if status == CODE.bad_target:
@@ -165,8 +168,8 @@ class Solver(ReadOnly):
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64, all_turns: bool = False) -> Any:
         """Find every distinct solution of a target, nearest to q0 first (see `solve_all`).
 
-        Answers are evaluated by the compiled search, with check=True also by Pinocchio. With a built-in closed form without a free
-        prismatic joint it takes some 20 microseconds.
+        Errors are those of the compiled search; with check=True Pinocchio computes them, too. With one of this package's closed
+        forms, and no free prismatic joint, a call takes some 20 microseconds.
 
         Args:
             target: As for the solver, or targets (N, 4, 4) or (N, 3), also as a list.
@@ -196,7 +199,7 @@ def require_robot(robot: Any) -> None:
 
 
 def narrowed_for(robot: Any, options: Any) -> Any:
-    """Return the robot to solve for; if the option `limits` gives narrower limits, a variant with these (`limits` becomes True)."""
+    """Return the robot itself or, if the option `limits` gives narrower limits, a copy with these (`limits` becomes True)."""
     limits = options.get("limits", True)
     if limits is True or limits is False:
         return robot
@@ -229,13 +232,14 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
     robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
     try:
-        # The types are in the key because named tuples of equal numbers are equal, and so are 1 and True.
+        # The key of the cache includes types, because named tuples of different classes with equal numbers are equal, and so are 1
+        # and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = kept.get(key)
-    except (TypeError, ValueError):  # a parameter such as a matrix cannot be hashed, so the solver is not cached
+    except (TypeError, ValueError):  # not cached: a parameter such as a matrix cannot be hashed
         return Solver(robot, solver, **options)
     if found is None:
-        # It is made outside the lock, because a user's solver may itself solve something while it is bound to the robot.
+        # The Solver is made outside the lock, because a user's solver class may itself call `solve` while it is being made.
         made = Solver(robot, solver, **options)
         with _SOLVERS_LOCK:
             found = kept.setdefault(key, made)
@@ -250,7 +254,7 @@ def is_auto(solver: Any) -> bool:
 
 
 def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
-    """Return a closed form that fits the robot and has a parameter in `options` that the general search lacks, or None."""
+    """Return a closed form that fits the robot if `options` has one of its own parameters, which show that it is meant; or None."""
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None
@@ -346,7 +350,7 @@ def solve_all(
     require_robot(robot)
     for name in CHOOSING:
         value = options.get(name)
-        # an array counts as given; it has no truth value
+        # An array as value of an option counts as given; it cannot be tested like a bool.
         if value is not None and not (isinstance(value, int | float | np.bool_) and not value):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)

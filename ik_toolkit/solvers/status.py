@@ -26,7 +26,8 @@ class Status(enum.IntEnum):
       open by more than the tolerance; the message says by how much.
     """
 
-    # Code on result rows compares with the numbers `CODE` of kernel/checks.py: to compare an enum takes numpy microseconds.
+    # Code that tests the status of result rows compares it with the plain numbers `CODE` of kernel/checks.py, because comparing an
+    # array with an enum takes numpy microseconds.
     CONVERGED = 0
     STALLED = 1
     ITERATION_LIMIT = 2
@@ -40,20 +41,20 @@ class Status(enum.IntEnum):
     CONSTRAINT_OPEN = 12
 
 
-# The field `excess` of a result row has three special values. SEARCHED: q or the status in the row of a closed form came from the
-# search after it.
+# The field `excess` of a result row is usually a length [m] by which the target is out of reach. Three negative values say where
+# the answer comes from. SEARCHED: a closed form failed, and q or the status came from the iterative search after it.
 SEARCHED = -1.0
-DECIDED = -2.0  # The elimination found q, or certified that there is none (see `decide`).
-# The elimination found q and certified that no solution within the limits is nearer to q0.
+DECIDED = -2.0  # The elimination found q, or certified that no q reaches the target (see `decide`).
+# NEAREST: the elimination found q, and certified that no other solution within the limits is nearer to q0.
 NEAREST = -3.0
 
 
 def is_proven(status: Any, excess: Any, plan: Any) -> Any:
-    """Return whether a failure is proof that its target has no solution within the limits, as `Result.proven` says.
+    """Return whether it is proven that a target has no solution within the limits (or none nearer than q), for `Result.proven`.
 
-    status, excess: numbers or arrays from the result rows of the plan. A closed form that fits only roughly leaves its verdict to
-    the search (SEARCHED). Where a prismatic joint is free, a closed form looks numerically for branches within the limits;
-    LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the target.
+    status, excess: numbers or arrays from the result rows of the plan. Of a closed form that fits the arm only roughly, the
+    search decides the status, which is then no proof (SEARCHED). Where a prismatic joint is free, a closed form looks numerically
+    for branches within the limits; LIMIT_BLOCKED is then a proof only if no legal value of that joint reaches the target.
     """
     said = plan.row.closed & (status == Status.LIMIT_BLOCKED) & (excess != SEARCHED)
     if plan.row.closed and plan.robot.slides.any() and not plan.rule.held(plan.robot):
@@ -70,5 +71,5 @@ def count_statuses(numbers: np.ndarray) -> dict[str, int]:
 
 
 def constraints_of(robot: Any, q: np.ndarray, options: Any) -> ConstraintCheck:
-    """Return which loops and relations of its robot's description q (n,) breaks, within the tolerances of the options."""
+    """Check the closed loops and other constraints of the robot's description at q (n,), with the tolerances of the options."""
     return constraints_at(robot, q, options.position_tolerance, options.orientation_tolerance)

@@ -13,14 +13,14 @@ from ..robot.pose import AxisTarget, check_target, errors
 from ..robot.ros import is_by_name
 from .options import COUNTING, GROUPS, Options
 
-POSES = (KIND.pose,)  # the kinds of target if a single tip has a pose as target
+POSES = (KIND.pose,)  # kinds of target (one per tip) for the usual case: one tip, a whole pose
 WHOLE = frozenset((KIND.pose, KIND.position))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
 
 
 class Counts(NamedTuple):
-    """The parts of a tip's error that count (see `Options`): weights and dead bands (6,), a free axis of the tip, the frame."""
+    """Which parts of a tip's pose error count (see `Options`): weights and dead bands (6,), a free axis of the tip, the frame."""
 
     mask: tuple[float, ...] | None
     slack: tuple[float, ...] | None
@@ -35,7 +35,7 @@ class Counts(NamedTuple):
 
 # ----------------------------------------------------------------------------------------------------------- what counts
 def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
-    """Return for each tip which part of its errors counts, by the options.
+    """Return for each tip which part of its pose error counts, according to the options.
 
     Raises InvalidOption for an unknown tip, or if nothing counts.
     """
@@ -60,7 +60,7 @@ def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
 
 
 def relatives(robot: Any, o: Options) -> tuple[int, ...]:
-    """Return for each tip the index of the tip that its target is relative to, or -1 for the base.
+    """Return for each tip the index of the tip in whose frame its target is given (option relative_to), or -1 for the base.
 
     Raises InvalidOption for unknown tips, and for tips that are relative to each other in a circle.
     """
@@ -82,7 +82,7 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
 
 
 def group_levels(robot: Any, o: Options) -> tuple[int, ...]:
-    """Return the level (2 F,) of each tip's position and orientation; 0 comes first, and all are 0 without a priority.
+    """Return the priority (2 F,) of each tip's position and orientation as a number; 0 is the highest, and all are 0 by default.
 
     Raises InvalidOption for an unknown tip, or errors named twice.
     """
@@ -106,9 +106,9 @@ def counts_in_part(kinds: tuple, o: Options) -> bool:
 
 
 def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
-    """Return whether each of the stacked errors (6 F,) counts, as if the option `frame` were 'base' at every tip.
+    """Return for each of the F tips' six errors whether it counts (6 F,); the option `frame` is taken as 'base'.
 
-    With a free turn two of a tip's three rotation errors count.
+    If the turn about one axis is free, two of a tip's three rotation errors count.
     """
     return np.concatenate([_counting(one, kind) for one, kind in zip(what_counts(robot, o), kinds, strict=True)])
 
@@ -127,9 +127,10 @@ def _counting(counts: Counts, kind: Any) -> np.ndarray:
 
 
 def counted_jacobian(robot: Any, Q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options) -> np.ndarray:
-    """Return the Jacobians (K, 6 F, n) of the errors at solutions Q (K, n), lengths over the scale, in the axes of option `frame`.
+    """Return the Jacobians (K, 6 F, n) of the errors that count at solutions Q (K, n), in the axes that the option `frame` names.
 
-    T (4, 4) or (F, 4, 4) are the targets. Rows are 0 for errors that do not count or are inside their slack.
+    T (4, 4) or (F, 4, 4) are the targets. Rows are 0 for errors that do not count or are inside their slack. Lengths of the
+    errors are divided by the robot's length scale.
     """
     poses, J = robot.chain.forward(Q, jacobian=True)
     J = J.reshape(len(Q), len(kinds), 2, 3, -1)
@@ -181,8 +182,8 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         plain = axis is None and counts.mask is None and counts.slack is None
         frame = counts.frame
         if o.priority is not None and frame == "tip" and len(set(weights[:3])) == 1 and not slack[:3].any():
-            # The rotation error has the same components in the axes of tip and target; those of the target do not move, so they add
-            # no second derivatives.
+            # The rotation error has the same components in the axes of tip and target. The target's axes are used because they do
+            # not move with q, and so add no second derivatives.
             frame = "target"
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
         tasks.append(
@@ -275,7 +276,7 @@ def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
 
 
 def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
-    """Return one target, given in the frame `base`, as a pose (4, 4), with its kind and a notice."""
+    """Check one target in any accepted form; return it as a pose (4, 4), with its kind and a notice. base: the frame it is in."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):
@@ -290,7 +291,7 @@ def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
 
 # ------------------------------------------------------------------------------------------------------ Pinocchio's check
 def targets_met(robot: Any, q: np.ndarray, o: Options) -> np.ndarray:
-    """Return the targets (F, 4, 4) that the tips meet at q (n,): their poses in base axes, or relative to another tip."""
+    """Return the poses (F, 4, 4) of the tips at q (n,), each in the frame of its target: the base, or another tip."""
     poses = [T.homogeneous for T in robot.tip_poses(q)]
     pairs = zip(poses, relatives(robot, o), strict=True)
     return np.array([pose if other < 0 else np.linalg.inv(poses[other]) @ pose for pose, other in pairs])
@@ -301,8 +302,8 @@ def counted_errors(
 ) -> list[tuple[float, float | None]]:
     """Compute with Pinocchio the position error [m] and orientation error [rad] that count at each tip at q (n,).
 
-    T (1, 4, 4) or (1, F, 4, 4), or without the first axis, has validated targets. The orientation error is None if the target
-    leaves orientation free; the errors of a free tip are 0.
+    T (1, 4, 4) or (1, F, 4, 4), or without the first axis: the targets, already validated. The orientation error is None if the
+    target leaves orientation free; the errors of a free tip are 0.
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)

@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a solver to tune: range and initial value (numbers or arrays), unit, and whether its scale is logarithmic."""
+    """One parameter of a solver that is to be tuned: its range, initial value, unit, and whether the search uses a log scale."""
 
     name: str
     low: Any
@@ -27,16 +27,16 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """How many numbers the parameter has."""
+        """How many numbers the parameter consists of (1 unless it is an array)."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
-        """Return the initial values mapped to [0, 1]."""
+        """Return the parameter's initial value as numbers in 0..1, where 0 and 1 are the ends of its range."""
         low, high, value = (np.broadcast_to(x, np.shape(self.initial)).ravel() for x in self._ends(self.initial))
         return np.clip((value - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
 
     def from_unit(self, x: np.ndarray) -> Any:
-        """Map a point in [0, 1] to parameter values: a float, or an array shaped as `initial`."""
+        """Convert numbers in 0..1 to a value in the parameter's range: a float, or an array shaped as `initial`."""
         low, high, _ = self._ends(self.initial)
         value = low + (high - low) * x.reshape(np.shape(self.initial))
         value = np.exp(value) if self.log else value
@@ -50,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """What a tuning run searches: parameters, the solver it starts from, and a function that makes a solver from parameter values.
+    """What `tune` searches: the parameters, the solver it starts from, and a function that makes a solver from parameter values.
 
     The search runs in the unit box, where each parameter goes from 0 to 1; spread is the standard deviation of its first
     candidates about the start.
@@ -63,7 +63,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """How many numbers the search varies."""
+        """How many numbers the tuner varies: those of all parameters together."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property
@@ -83,9 +83,10 @@ class Space:
 
 
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, but at most one turn about their middle."""
+    """Return the lower end and width (n,) [rad, m] of the box in which tuned starts lie: the limits, at most one turn wide."""
     n, chain = robot.n, robot.chain
-    ends = np.atleast_2d(chain.ends)[0]  # any row: joint limits do not depend on the tip
+    # a robot with several tips has a row for each; all rows have the same joint limits
+    ends = np.atleast_2d(chain.ends)[0]
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)
@@ -93,6 +94,9 @@ def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_parameter(robot: Any, initial: np.ndarray) -> Parameter:
-    """Return a parameter to tune for starts (M, n) [rad, m], within the box where starts are drawn; initial: the first ones."""
+    """Return a tuning parameter that stands for M starts (M, n) [rad, m] of a solver; its range is that of `sampling_box`.
+
+    initial: the starts with which tuning begins.
+    """
     low, width = sampling_box(robot)
     return Parameter("starts", low, low + width, np.clip(initial, low, low + width), "rad, m")

@@ -31,16 +31,16 @@ from ..solvers.protocol import Asked
 from ..solvers.rules.state_space import HEAD, StateSpace
 from ..validate import switch
 
-# Iterations of the run of `predict`. This run does not overshoot; with the published gains, the error in the slowest direction
+# Number of iterations that `predict` makes. They do not overshoot; with the published gains, the error in the slowest direction
 # falls by a twentieth in each iteration.
 ITERATIONS = 3000
 FLAT = 1e-9  # a joint whose Jacobian column is below this share of the largest does not move the tip
-ROUND = 1e-9  # relative tolerance of the test whether a vertex of a polytope is inside its facets
+ROUND = 1e-9  # rounding allowed in the test whether a point is inside a polytope, relative to 1
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices of a state-space solver in base axes, metres and radians. Each of its M starts has a B and a D of its own.
+    """The matrices A, B, C, D of a state-space solver in base axes, metres and radians; each of its M starts has its own B and D.
 
     Attributes:
         A: (m, m) state matrix.
@@ -79,7 +79,7 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
         D = table[:, n + 6 * m :].reshape(count, n, 6)
     axes, unit = robot.chain.ends[:9].reshape(3, 3).T, robot.chain.unit[:, None]
 
-    # the solver's B and D take errors in axes of its own, with lengths over the robot's length scale
+    # convert B and D, which the solver stores for errors in its own axes, with lengths over the robot's length scale
     def plain(maps: np.ndarray) -> np.ndarray:
         linear = maps[:, :, :3] @ axes / robot.chain.scale
         return linear if position_only else np.concatenate([linear, maps[:, :, 3:] @ axes], axis=2)
@@ -99,8 +99,9 @@ class LoopAnalysis:
         position_only: Whether targets are positions.
         q: (N, n) configurations [rad or m].
         spectral_radius: (N,) factor by which the slowest part of an error changes in each step, near a solution.
-        loop_gain: (N, r) complex eigenvalues, one for each independent error that joints can change. For A = a I they are those of
-            J S (1 - a), which is J C B + (1 - a) J D, for any other A those of J S.
+        loop_gain: (N, r) complex eigenvalues of the product of Jacobian and static gain, one for each independent error that
+            joints can change. For A = a I they are those of J S (1 - a), which is J C B + (1 - a) J D, for any other A those of J
+            S.
         gain_bound: Without D and with A = a I, a real loop gain must be between 0 and this, 1 - a (Jury's test); else None.
     """
 
@@ -119,16 +120,16 @@ class LoopAnalysis:
 
     @property
     def steps_per_decade(self) -> np.ndarray:
-        """Number of steps in which an error near each configuration falls to a tenth, (N,); infinite where it does not."""
+        """Number of steps (N,) after which an error near each configuration has fallen to a tenth; infinite where it does not."""
         with np.errstate(divide="ignore"):
             return np.where(self.stable, -1.0 / np.log10(np.minimum(self.spectral_radius, 1.0)), np.inf)
 
     def predict(self, targets: Any, q0: Any = None, tolerance: float = 1e-3) -> np.ndarray:
         """Return whether the solver is expected to reach each target, from its static gains S and the joint limits alone.
 
-        The memoryless iteration q += S e is run, clamped to the limits. This predicts the outcome of a run, not whether some
-        configuration q0 + S w, with any vector w, solves the target, because a joint that meets a limit on the way may divert the
-        run. Where solver and prediction differ, the dynamics of the solver's state made joints overshoot into a limit.
+        The iteration q += S e, which has no state, is run with q clamped to the limits. A joint that meets a limit on the way may
+        divert it, so the prediction may be no although some configuration q0 + S w, with a vector w, solves the target. Where
+        solver and prediction differ, the dynamics of the solver's state made joints overshoot into a limit.
 
         Args:
             targets: As for `solve_batch`, N of them.
@@ -145,7 +146,7 @@ class LoopAnalysis:
         return solve_batch(self.robot, targets, made, q0=q0, **options).success
 
     def off_slice(self, q: Any, q0: Any) -> np.ndarray:
-        """Return the distance (N,) [rad or m] of configurations q (N, n) from the subspace q0 + S w of a solver with one start.
+        """Return how far (N,) [rad or m] configurations q (N, n) are from the set q0 + S w that a solver with one start can reach.
 
         Raises InvalidOption if the solver has several starts.
         """
@@ -177,7 +178,7 @@ def analyse(
     seed: int = 0,
     position_only: bool | None = None,
 ) -> LoopAnalysis:
-    """Analyse the loop of the state-space solver at configurations of a robot, to first order.
+    """Analyse how the state-space solver, as a feedback loop, reduces small errors near configurations of a robot.
 
     Args:
         robot: A robot with one tip.
@@ -208,7 +209,7 @@ def analyse(
     Q = robot.random_q(np.random.default_rng(whole(seed, "seed", 0)), count) if q is None else _configurations(robot, q)
     made = matrices(robot, rule, positions)
     rows = 3 if positions else 6
-    # Errors that no joint can change, as those out of a planar arm's plane, are left out: a reachable target has none.
+    # Errors that no joint can change, such as those across a planar arm's plane, are left out, because reachable targets have none.
     unit = np.array([robot.chain.scale] * 3 + [1.0] * 3)[:rows, None]
     span = Asked(robot, (KIND.position if positions else KIND.pose,)).span[:rows]
     J = (span / unit).T @ robot.chain.forward(Q, jacobian=True)[1][:, :rows]
@@ -233,10 +234,11 @@ def _configurations(robot: Robot, q: Any) -> np.ndarray:
 
 
 def gain_margins(robot: Robot, q: Any) -> np.ndarray:
-    """Return the gain margin of IK-PID for positions at each of N configurations q (N, n) [rad per m, or 1 for slides].
+    """Return the largest gain K_p with which IK-PID lowers small position errors, at each of N configurations (its gain margin).
 
-    With a_i = 2 J_i / |J_i|^2 it is the least over all unit vectors u of max |a_i . u|: one over the norm of the farthest vertex
-    of the polytope |a_i . x| <= 1.
+    K_p is in rad per m (m per m for prismatic joints). With J_i the columns of the Jacobian and a_i = 2 J_i / |J_i|^2, the margin
+    is the least over all unit vectors u of max |a_i . u|, that is, one over the norm of the farthest vertex of the polytope |a_i
+    . x| <= 1.
 
     Args:
         robot: A robot with one tip.
@@ -255,7 +257,7 @@ def gain_margins(robot: Robot, q: Any) -> np.ndarray:
     signs = np.array(list(product((1.0,), *[(1.0, -1.0)] * (r - 1)))).T
     J = span.T @ robot.chain.forward(_configurations(robot, q), jacobian=True)[1][:, :3]
     size = np.linalg.norm(J, axis=1, keepdims=True)
-    still = size <= FLAT * size.max(axis=2, keepdims=True)  # a joint that does not move the tip bounds nothing
+    still = size <= FLAT * size.max(axis=2, keepdims=True)  # A joint that does not move the tip sets no bound.
     facets = np.where(still, 0.0, 2.0 * J / np.maximum(size, 1e-300) ** 2).swapaxes(1, 2)
     far = np.zeros(len(J))
     for some in combinations(range(robot.n), r):

@@ -20,8 +20,9 @@ from ..solvers.status import Status, count_statuses
 from ..text import Tabled, TextTable, duration
 from ..validate import one_of, solver_list
 
-BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
-NEAR = 0.1  # largest difference, in each joint [rad or m], between start 'near' and a solution
+# The targets are solved in BLOCKS blocks, each by all solvers in turn, so that other load on the machine affects all alike.
+BLOCKS = 10
+NEAR = 0.1  # [rad or m] the start 'near' is a solution with every joint changed at random by at most this
 RESTARTS = 99  # default number of restarts of every solver, so that each has 100 attempts
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
@@ -222,7 +223,7 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # If no solver applies, an option is probably wrong, and the last error says which.
+    # Nothing was solved because no solver applies to any robot. Then an option is probably wrong, and the last error says which.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
@@ -232,7 +233,7 @@ def benchmark(
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Return the name of a row's robot, with the names of its tips if it has several, or if `always`."""
+    """Return a robot's name for a table, followed by the names of its tips if it has several, or if `always`."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -280,7 +281,7 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        # Most of the time is spent in this statement, so Ctrl-C mostly arrives here.
+        # Ctrl-C mostly arrives in the next statement, where nearly all time is spent, so at most one block of targets is lost.
         table = run_block(*job[1:]) if futures is None else futures[k].result()
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
@@ -319,7 +320,10 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
 
 
 def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
-    """Return the BenchmarkRow of the results (N, 7) of `run_block`; its arrays have the solved targets first."""
+    """Return the BenchmarkRow (rates, times, counts) for N targets from the table (N, 7) of their results (see `run_block`).
+
+    In its arrays the solved targets come first.
+    """
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)

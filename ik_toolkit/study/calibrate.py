@@ -13,9 +13,12 @@ from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversibl
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
-ELSEWHERE = 0.2  # Measurements farther than this share of the reach from the nominal arm are in another frame.
-DOUBTFUL = 4.0  # If the median error exceeds this many times NOISE, reversed joints are searched for once more.
-SAMPLES = 200  # number of random configurations from which the identifiability over the whole range is computed
+# If measured points are farther than ELSEWHERE times the reach from the nominal arm's, they may be in another frame.
+ELSEWHERE = 0.2
+# If the median error after the fit exceeds DOUBTFUL times NOISE, joints with a wrong sign are searched for once more.
+DOUBTFUL = 4.0
+# number of random configurations that tell how many errors measurements all over the joint ranges could determine
+SAMPLES = 200
 
 
 def calibrate(
@@ -158,7 +161,8 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
         if other.typical() < least * left:
             found, least = other, other.typical() / left
     found = found if least < 0.5 else fit
-    fit.measured.start(found.arm.poses(found.x, found.Q))  # `start` sets the reference normals of the planes
+    # called for its side effect: `start` also sets the reference normals of the planes, which depend on the arm's signs
+    fit.measured.start(found.arm.poses(found.x, found.Q))
     if found is not fit:
         found.settle()
     return found, least if found is not fit else 1.0

@@ -20,13 +20,15 @@ from .calibration_report import open_points, page
 from .drawn_arm import DrawnArm, Unknown
 from .suggest_poses import chosen_poses
 
-# Largest credible residual, over the reach. Errors of 5 mm and 1 degree at every joint of four arms cause 0.006 to 0.047.
+# A residual above MIXED_UP times the reach is too large to be credible: errors of 5 mm and 1 degree at every joint of four arms
+# cause only 0.006 to 0.047.
 MIXED_UP = 0.05
-UNSURE = 0.7  # An error whose standard deviation exceeds this share of the prior's is hardly determined by the data.
+# An error is hardly determined by the data if its standard deviation exceeds UNSURE times the one assumed beforehand (prior).
+UNSURE = 0.7
 
 
 class FixedUnknown(NamedTuple):
-    """An unknown fixed at its nominal value, as the data do not depend on it, or cannot tell it from those in `shared`."""
+    """An error fixed at 0, because the data do not depend on it or cannot tell it from the errors named in `shared`."""
 
     fixed: str
     shared: tuple[str, ...]
@@ -40,34 +42,39 @@ class Calibration(Tabled):
     """
 
     drawn: Robot  # the nominal robot, as it was given
-    what: str  # what was measured
-    parameters: tuple[str, ...]  # groups of unknowns: joints, frames, tool, base
+    what: str  # what was measured: 'pose', 'position', 'distance', 'plane' or 'socket'
+    parameters: tuple[str, ...]  # which errors were looked for: those of joints, frames, tool, base
     unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
     x: np.ndarray  # (P,) the errors that were found [m or rad]; 0 for fixed unknowns
-    spread: np.ndarray  # (P, P) covariance of these errors, zero for fixed unknowns
+    spread: np.ndarray  # (P, P) covariance of the errors x, zero for fixed unknowns
     fixed: tuple[FixedUnknown, ...]  # unknowns fixed at their nominal values, and those they cannot be separated from
     rank: int  # number of unknowns that the data determine
     rank_drawn: int  # number of unknowns that the data would determine at the nominal arm
-    rank_anywhere: int  # number of unknowns that as many poses, spread over the arm's range, would determine
+    rank_anywhere: int  # number of unknowns that measurements spread over the arm's whole range would determine
     noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
-    # (N,) residual of each measurement for the nominal arm [m]; an unknown base is placed where it fits best
+    # (N,) residual of each measurement if the nominal arm is assumed [m]; a base of unknown pose is placed where it fits best
     before: np.ndarray
     after: np.ndarray  # (N,) residuals for the corrected arm [m]
-    turned: np.ndarray  # (2, N) orientation residuals [rad] before and after, of measured poses; else empty
+    # (2, N) orientation residuals [rad] of measured poses, for the nominal and for the corrected arm; empty for other measurements
+    turned: np.ndarray
     held_out: float | None  # RMS residual [m] of measurements left out of the fit (5-fold cross-validation)
     outliers: tuple[int, ...]  # indices of the measurements that were left out of the fit
-    # By joint whose sign is opposite to the model's, the ratio of the errors with these joints reversed to those before.
+    # {joint whose sign is opposite to the model's: error with all these joints reversed, as a share of the error before}
     reversed: dict[str, float]
-    width: float  # half width of a 95 % interval, in standard deviations
-    observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
-    condition: float  # ratio of the largest to the least singular value of the free unknowns
+    width: float  # a 95 % interval reaches this many standard deviations to either side
+    # observability index O1 of Borm and Menq (1989): geometric mean of the singular values of the scaled Jacobian, over sqrt(N)
+    observability: float
+    # condition number of the scaled Jacobian of the fitted unknowns: largest over smallest singular value
+    condition: float
     touched: np.ndarray  # (K, 3) estimated positions of sockets or fixed ends [m], base frame
-    prior: tuple[float, float]  # standard deviations of the prior [m, rad]
-    T_world_base: np.ndarray  # (4, 4) the base in the frame of the measurements
+    prior: tuple[
+        float, float
+    ]  # size [m, rad] of the errors expected before measuring (standard deviations of the prior)
+    T_world_base: np.ndarray  # (4, 4) pose of the base in the frame of the measurements
     notes: tuple[str, ...]  # sentences on what the data do not determine and on what is unusual
-    converged: bool  # whether the last fit ended because it met its tolerances
+    converged: bool  # whether the last least-squares fit converged
     spread_all: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
-    signs: np.ndarray  # (n,) factors 1 or -1 of the joint values
+    signs: np.ndarray  # (n,) 1, or -1 for a joint that turns in the direction opposite to the model's
     q: np.ndarray  # (N, n) joint values of the measurements
 
     @classmethod
@@ -80,7 +87,7 @@ class Calibration(Tabled):
         prior: Any,
         against: Mapping[str, Any],
     ) -> "Calibration":
-        """Make the Calibration from a finished ArmFit.
+        """Make the Calibration, with all statistics, from a finished fit.
 
         before: residuals (N, 3 or 6) [m, rad] of the nominal arm. fixed: unknowns that were fixed. ranks: `rank`, `rank_drawn` and
         `rank_anywhere`. prior: standard deviations of the prior [m, rad]. against: the dict `reversed`.
@@ -135,13 +142,13 @@ class Calibration(Tabled):
 
     @property
     def unsure(self) -> tuple[str, ...]:
-        """Names of the errors that the data hardly determine: their interval is about as wide as that of the prior."""
+        """Names of the errors that the data hardly determine: their interval is about as wide as before measuring."""
         loose = np.sqrt(np.diag(self.spread)) > UNSURE * self._arm().scales(*self.prior)
         return tuple(one.name for one, is_loose in zip(self.unknowns, loose, strict=True) if is_loose)
 
     @property
     def implausible(self) -> tuple[str, ...]:
-        """Names of the errors, except those of the base, that exceed three standard deviations of the prior."""
+        """Names of the errors, except those of the base, that exceed three standard deviations of what was expected (prior)."""
         far = np.abs(self.x) > 3.0 * self._arm().scales(*self.prior)
         return tuple(one.name for one, is_far in zip(self.unknowns, far, strict=True) if is_far and one.group != "base")
 
@@ -270,5 +277,5 @@ class Calibration(Tabled):
 
 
 def shown(value: float, turns: bool) -> str:
-    """Return an error [m or rad] in mm, or in degrees if it `turns`, as text with its sign."""
+    """Return an error as text with its sign: a length [m] in mm or, if it is an angle (`turns`) [rad], in degrees."""
     return f"{np.degrees(value) if turns else 1e3 * value:+.3f}"

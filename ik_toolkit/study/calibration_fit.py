@@ -17,12 +17,15 @@ from ..robot.rotation import nearest_rotation
 from .drawn_arm import WIDE, DrawnArm
 from .measurements import LEAST, NOISE, Measurements
 
-# A direction with a smaller singular value counts as not determined: there the data narrow the prior by less than a tenth.
+# A combination of errors with a singular value below UNTOLD counts as not determined: the data narrow what was assumed beforehand
+# (the prior) by less than a tenth.
 UNTOLD = 0.5
-OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
-LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
-# Limits of the search for reversed joints: median squared errors, in units of LOOSE, below which there is no search and above which
-# all combinations of signs are tried, and the largest number of joints for which these are tried.
+# A measurement is an outlier if its error exceeds 4 standard deviations of the noise and 3 times the median of all errors.
+OUTLIER = (4.0, 3.0)
+# [m, rad] noise assumed while joint signs are searched for, when only offsets, base and tool are fitted and link errors are not
+LOOSE = (0.05, 0.1)
+# Limits of the search for joints with a wrong sign. Median squared error, in units of LOOSE: below the first nothing is searched
+# for, above the second all combinations of signs are tried. Third: largest number of joints for which they are.
 SIGNS = (0.01, 4.0, 7)
 
 
@@ -31,7 +34,7 @@ class ArmFit:
 
     Attributes:
         arm, measured, Q: The arm, the measurements and the joint values (N, n).
-        scales: Prior spread (P,) of the unknowns x [m or rad].
+        scales: Expected size (P,) of the unknowns x [m or rad]: the standard deviation of their prior.
         noise: Standard deviations [m, rad] of the measurements.
         kept: Which measurements (N,) count; the others are outliers.
         free: Which unknowns (P,) are fitted; the others are fixed at 0, the nominal arm.
@@ -58,9 +61,10 @@ class ArmFit:
 
     # -------------------------------------------------------------------------------------------------------- one fit
     def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals (m,) of some measurements and of known places, divided by their noise, and their Jacobian (m, P + Z).
+        """Return the residuals (m,) that least squares minimises, divided by their noise, and their Jacobian (m, P + Z).
 
-        The Jacobian is with respect to the unknowns of the arm in units of the prior, and z in metres.
+        They belong to the measurements `rows` and to known positions of sockets. The Jacobian is with respect to the unknowns of
+        the arm in units of their expected size, and to z in metres.
         """
         taken = self.measured.taken(rows)
         T, J = self.arm.evaluate(x, self.Q[rows])
@@ -89,7 +93,7 @@ class ArmFit:
                 last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
             return last[v.tobytes()]
 
-        # SciPy's soft_l1 loss for the measurements; the loss of the prior stays quadratic
+        # loss function for SciPy: soft_l1 for the measurements, so that outliers count less; quadratic for the prior
         def soft(squares: np.ndarray) -> np.ndarray:
             grown = np.sqrt(1.0 + squares)
             rho = np.array([2.0 * (grown - 1.0), 1.0 / grown, -0.5 / grown**3])
@@ -107,11 +111,11 @@ class ArmFit:
         return every[:P], every[P:]
 
     def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the residuals of all measurements (N, per) [m, rad], `per` numbers a measurement, for unknowns x and z."""
+        """Return the residuals (N, per) [m, rad] of all measurements for unknowns x and z; each measurement gives `per` numbers."""
         return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
 
     def typical(self) -> float:
-        """Return the median error of a measurement, in units of NOISE."""
+        """Return the median of the measurements' errors for the present fit, in units of the default noise NOISE."""
         return float(np.sqrt(np.median(((self.errors(self.x, self.z) / self.measured.sigma(NOISE)) ** 2).sum(1))))
 
     # ------------------------------------------------------------------------------------------------- noise, outliers
@@ -167,7 +171,7 @@ class ArmFit:
         return found[0], found[1]
 
     def taken_up(self, rows: np.ndarray) -> float:
-        """Return the effective number of fitted unknowns: the trace of the fit's projection (hat) matrix."""
+        """Return how many degrees of freedom of the data the fit uses up: the trace of its projection (hat) matrix."""
         A = self.weighted(self.x, self.z, rows)[1]
         Z = len(self.z)
         A = A[:, np.append(self.free, np.ones(Z, dtype=bool))]
@@ -177,9 +181,10 @@ class ArmFit:
 
     # ------------------------------------------------------------------------------------------------------ what is told
     def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return a basis (P, k) of the directions that the data do not determine, from the Jacobian's singular values.
+        """Return a basis (P, k) of the combinations of unknowns that the measurements `rows` do not determine.
 
-        The Jacobian is with respect to all unknowns of the arm; the unknowns z of touched objects are eliminated from it.
+        They follow from the singular values of the Jacobian with respect to all unknowns of the arm; the unknowns z of touched
+        objects are eliminated from it.
         """
         A = self.weighted(x, z, rows)[1]
         P = len(x)
@@ -191,14 +196,15 @@ class ArmFit:
         return untold_directions(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
-        """Fix one unknown at 0 for each direction of a basis N (P, k); return each with the unknowns it cannot be separated from.
+        """Fix one unknown at 0 for each undetermined direction (basis N (P, k)); return each with those it cannot be told from.
 
         Errors of link frames are fixed first, so that offsets of joints, tool and base stay free if possible.
         """
         groups = [one.group for one in self.arm.unknowns]
         order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
         left, fixed = N.copy(), []
-        # Rows far from linear dependence are chosen first, so that the choice depends little on the data.
+        # Unknowns whose rows of N are far from linearly dependent are chosen first, so that small changes of the data hardly change
+        # the choice.
         for least in (0.5, 0.25, 0.1, 1e-3):
             for p in order:
                 size = float(np.linalg.norm(left[p]))
@@ -206,7 +212,7 @@ class ArmFit:
                     along = left[p] / size
                     left -= np.outer(left @ along, along)
                     fixed.append(p)
-        # scaled so that a length counts the same in all groups
+        # undo the wider scales of tool and base, so that a length counts the same in all groups
         equal = N * np.array([[WIDE.get(group, 1.0)] for group in groups])
         B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
@@ -236,7 +242,7 @@ class ArmFit:
     def held_out(self) -> np.ndarray | None:
         """Return cross-validated errors (N,) [m]: each fifth of the measurements is left out of a fit in turn.
 
-        It is None if too few measurements would remain.
+        Returns None if too few measurements would remain for a fit.
         """
         parts, rows = 5, np.random.default_rng(0).permutation(np.flatnonzero(self.kept))
         found, labels = np.full(len(self.Q), np.nan), self.measured.labels
@@ -254,19 +260,22 @@ class ArmFit:
 
 
 def covariance_root(A: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return W (P, P) with W' W the inverse of A' A + diag(known): no variance is negative, however wide the prior is."""
+    """Return W (P, P) with W' W = (A' A + diag(known))^-1, the covariance of a fit; as a square it has no negative variances."""
     _, s, V = np.linalg.svd(np.vstack([A, np.diag(np.sqrt(known))]), full_matrices=False)
     return V / s[:, None]
 
 
 def untold_directions(A: np.ndarray) -> np.ndarray:
-    """Return a basis (P, k) of the directions whose singular values of A (m, P), in units of prior and noise, are below UNTOLD."""
+    """Return a basis (P, k) of the combinations of unknowns that data with the scaled Jacobian A (m, P) do not determine.
+
+    They are the directions whose singular values, in units of prior and noise, are below UNTOLD.
+    """
     squares, V = np.linalg.eigh(A.T @ A)
     return V[:, squares < UNTOLD**2][:, ::-1]
 
 
 def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
-    """Return x (P,) with first estimates of the base, and of the tool's orientation if poses are measured; other unknowns are 0.
+    """Return the unknowns x (P,) with which a fit begins: estimates of the base and of the tool's orientation; the others are 0.
 
     The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool is rotated by the mean of the
     remaining orientation errors.
@@ -288,9 +297,10 @@ def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndar
 
 
 def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find joints whose sign is opposite to the model's, by fits of offsets, base and tool with some joints reversed.
+    """Find joints that turn in the direction opposite to the model's, by fits with some joints reversed.
 
-    Returns the signs (n,), 1 or -1, and the ratio of the typical error after to before; all are 1 unless the ratio is below 1/2.
+    Only offsets, base and tool are fitted. Returns the signs (n,), 1 or -1, and the ratio of the median error after to before.
+    All are 1 unless reversing at least halves the error.
     """
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 

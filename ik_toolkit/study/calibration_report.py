@@ -9,8 +9,8 @@ from ..style import COLOURS, GREY, PALE
 from ..text import TextTable, figure, first_few, length
 from .measurements import WHAT
 
-ROUGH = 0.005  # [m] Remaining errors above this are too large to be noise of an instrument.
-FEW = 2.2  # measured numbers per unknown below which outliers cannot be detected well
+ROUGH = 0.005  # [m] If the errors left after calibration are larger, they are not just noise of the instrument.
+FEW = 2.2  # With fewer measured numbers per unknown, outliers cannot be detected well.
 TOUCH = {
     "pose": "",
     "position": "the direction in which the tool points is not measured",
@@ -23,7 +23,8 @@ TOUCH = {
 def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     """Return sentences on what the data do not determine and on what is unusual.
 
-    placed: whether positions of sockets are known. pairs: number of known distances. given: whether the noise was given.
+    placed: whether positions of touched sockets are known. pairs: number of known distances between sockets. given: whether the
+    caller gave the noise.
     """
     said, kept = [], len(found.after) - len(found.outliers)
     for joint, share in found.reversed.items():

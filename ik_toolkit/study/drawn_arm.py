@@ -20,7 +20,7 @@ GROUPS = ("joints", "frames", "tool", "base")
 WIDE = {
     "tool": 10.0,
     "base": 200.0,
-}  # factor on the prior standard deviation for tool and base, relative to that of a link
+}  # expected errors of tool and base (standard deviation of the prior), as multiples of those of a link
 
 
 class Unknown(NamedTuple):
@@ -41,7 +41,7 @@ class _Place(NamedTuple):
 
 
 class DrawnArm:
-    """A robot whose frames have errors x, relative to its nominal model.
+    """A robot whose joint, link, tool and base frames deviate from its nominal model by unknown errors x (P,), to be calibrated.
 
     Attributes:
         robot: The nominal robot.
@@ -60,7 +60,8 @@ class DrawnArm:
             pin.Frame("measured tip", tip.parentJoint, tip.placement, pin.FrameType.OP_FRAME)
         )
         self._base = base_id
-        self._up = set(robot._path.joints[: robot._path.up])  # joints between root and base
+        # joints between the root of the model and the base of the arm; the way from base to tip goes up through them
+        self._up = set(robot._path.joints[: robot._path.up])
         self._drawn = [placement.copy() for placement in self.model.jointPlacements]
         self._data = self.model.createData()
         unknowns: list[Unknown] = []
@@ -86,11 +87,11 @@ class DrawnArm:
             self._places.append(_Place(columns, joint, shift, turn))
 
     def scales(self, length: float, angle: float) -> np.ndarray:
-        """Return the prior standard deviation (P,) of each unknown: `length` [m] or `angle` [rad], times WIDE for tool and base."""
+        """Return the expected size (P,) of each unknown: `length` [m] or `angle` [rad], times WIDE for tool and base."""
         return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
-        """Return the transforms that the errors x (P,) cause, by the joint's number in the model; 0 is the tip, -1 the base."""
+        """Return the errors x (P,) as transforms of the frames they belong to, by the joint's number; 0 is the tip, -1 the base."""
         return {place.joint: _motion(place, x)[0] for place in self._places}
 
     def poses(self, x: np.ndarray, Q: np.ndarray) -> np.ndarray:
@@ -98,7 +99,10 @@ class DrawnArm:
         return self.evaluate(x, Q)[0]
 
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses (N, 4, 4), and their derivatives (N, 6, P) by x: twists of the tip in tip axes, linear rows first."""
+        """Return the poses (N, 4, 4) of the tip at Q (N, n) for errors x (P,), and their derivatives (N, 6, P) by x.
+
+        The derivatives are twists of the tip in tip axes, linear rows first.
+        """
         model, data, robot = self.model, self._data, self.robot
         base, tool = pin.SE3.Identity(), pin.SE3.Identity()
         joints, blocks = [place for place in self._places if place.joint > 0], {}

@@ -12,13 +12,15 @@ from ..solvers.registry import find_row, make_rule
 from ..solvers.tuning_space import Parameter, Space
 from ..validate import switch
 
-# Ranges of parameters that several solvers have: lowest and highest value, and whether the scale is logarithmic.
+# Range in which a parameter of this name is tuned, for every solver that has it: lowest and highest value, and whether the scale is
+# logarithmic.
 RANGES = {"damping": (1e-4, 1.0, True), "gain": (0.05, 1.9, False)}
-MOST_MAPS = 4096  # largest number of starts with their own gains, so that a mistyped number does not fill the memory
+# largest number of starts that can be tuned at once; it keeps a mistyped number from filling the memory
+MOST_MAPS = 4096
 
 
 class Swarm:
-    """A particle swarm in the unit box; particles stop at its walls.
+    """A particle swarm optimiser in the unit box (every parameter from 0 to 1); particles stop at its walls.
 
     Its inertia 0.729 and accelerations 1.494 are those of Clerc and Kennedy (2002).
     """

@@ -16,14 +16,14 @@ from ..robot.formats.finding import did_you_mean
 from ..robot.pose import as_matrix
 from ..text import length
 
-# how many numbers each kind of measurement gives
+# the kinds of measurement, and how many numbers each gives
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
 NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
-LEAST = 1e-6  # [m, rad] lower bound on the noise, estimated or given, below that of any instrument
+LEAST = 1e-6  # [m, rad] smallest noise that is assumed, whether estimated or given; no instrument is that precise
 PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
-# Measured positions are not in metres if they spread over more arm reaches than this, or if 100 times their spread is less than
-# that of the drawn arm's positions.
+# Measured positions are not in metres if they spread over more than FAR times the arm's reach, or if 100 times their spread is less
+# than that of the nominal arm's positions.
 FAR = 10.0
 
 
@@ -112,7 +112,7 @@ class Measurements:
         return len(self.lengths if self.what == "distance" else self.labels)
 
     def taken(self, rows: np.ndarray) -> "Measurements":
-        """Return the Measurements of some rows (a mask or indices); sockets, planes or fixed ends keep their indices."""
+        """Return only the measurements `rows` (a mask or indices); sockets, planes or fixed ends keep their indices."""
         other = Measurements.__new__(Measurements)
         other.__dict__.update(vars(self))
         for name in ("positions", "rotations", "lengths", "labels"):
@@ -123,7 +123,7 @@ class Measurements:
     def require_metres(self, reach: float, drawn: np.ndarray) -> None:
         """Raise InvalidTarget if positions or distances spread so far, or so little, that they cannot be metres.
 
-        drawn: tip positions (N, 3) [m] of the drawn arm in the measured configurations.
+        drawn: tip positions (N, 3) [m] of the nominal arm in the measured configurations.
         """
         given = self.positions if len(self.positions) else self.lengths[:, None]
         spread = float(np.ptp(given, axis=0).max()) if len(given) else 0.0
@@ -140,14 +140,14 @@ class Measurements:
             )
 
     def names(self) -> list[str]:
-        """Return the names of the unknowns z, the coordinates of sockets, planes or fixed ends."""
+        """Return the names of the unknowns z: the coordinates of the sockets, planes or fixed ends that the tip touched."""
         if self.what == "plane":
             return [f"plane {k}.{part}" for k in range(self.count) for part in ("tilt 1", "tilt 2", "distance")]
         word = "socket" if self.what == "socket" else "fixed end"
         return [f"{word} {k}.{part}" for k in range(self.count) for part in "xyz"]
 
     def sigma(self, noise: Sequence[float]) -> np.ndarray:
-        """Return the standard deviation of each number of a measurement, for a noise of (length [m], angle [rad])."""
+        """Return the standard deviation (per,) of the numbers that one measurement gives, for a noise (length [m], angle [rad])."""
         return np.array([noise[0]] * 3 + [noise[1]] * 3)[: self.per]
 
     # --------------------------------------------------------------------------------------------------------- errors
@@ -161,7 +161,8 @@ class Measurements:
             return np.concatenate([points.mean(0) for points in each])
         if self.what == "distance":
             ends = []
-            for k, points in enumerate(each):  # |p|^2 - L^2 = 2 p a - |a|^2 is linear in a and |a|^2
+            # A fixed end a at distance L from p satisfies |p|^2 - L^2 = 2 p a - |a|^2, which is linear in a and |a|^2.
+            for k, points in enumerate(each):
                 L = self.lengths[self.labels == k]
                 A = np.column_stack([2.0 * points, -np.ones(len(points))])
                 ends.append(np.linalg.lstsq(A, (points**2).sum(1) - L**2, rcond=1e-6)[0][:3])
@@ -269,7 +270,7 @@ def _labels(value: Any, what: str) -> np.ndarray:
 
 
 def read_noise(noise: Any) -> tuple[float, float] | None:
-    """Return the noise (length [m], angle [rad]) asked for, None if it is to be estimated. Raises InvalidOption."""
+    """Return the standard deviation (length [m], angle [rad]) of the noise as given, None to estimate it. Raises InvalidOption."""
     if noise is None:
         return None
     pair = floats(noise, "noise must be a length [m], or (length [m], angle [rad])", InvalidOption).ravel().tolist()
@@ -281,7 +282,7 @@ def read_noise(noise: Any) -> tuple[float, float] | None:
 
 
 def prior_spread(prior: Any) -> tuple[float, float]:
-    """Return the standard deviation of the prior (length [m], angle [rad]), as given or PRIOR. Raises InvalidOption."""
+    """Return the expected size of link and joint errors (length [m], angle [rad]), as given or PRIOR. Raises InvalidOption."""
     if prior is None:
         return PRIOR
     pair = floats(prior, "prior must be (length [m], angle [rad])", InvalidOption)

@@ -38,16 +38,24 @@ from ..validate import switch
 
 
 class Allowances(NamedTuple):
-    """Allowances for rounding, so that it cannot invalidate what is proven."""
+    """Safety margins that keep rounding from invalidating a proof; F is the error as a function of q, phi its rotation vector."""
 
-    share: float = 1e-9  # beta, eta, L and r are multiplied by 1 + share, and R by 1 - share
-    condition: float = 1e5  # Nothing is claimed if F'(q0) is conditioned worse, as its inverse may be off by `share`.
-    kinematics: float = 1e-12  # rounding of the pose [rad, or lengths over the scale], added to the error e
-    widest: float = 1e3  # largest joint value [rad, or lengths over the scale] that is accepted; it rounds to 1e-13
-    flat: float = 1e-9  # a target this near to the arm's plane [rad, or lengths over the scale] counts as in it
-    parallel: float = 1e-12  # axes count as parallel below this sine of their angle; `share` covers the difference
-    turned: float = 3.1  # largest |phi| [rad] for which something is claimed, because log is not smooth at half a turn
-    listed: float = 1e-6  # distance [of `norm`] by which a listed solution may differ from the exact one
+    # relative margin for rounding: beta, eta, L and r are multiplied by 1 + share, R by 1 - share (see NewtonCertificate)
+    share: float = 1e-9
+    # Nothing is claimed if the condition number of F'(q0) is larger, because its inverse may then be off by `share`.
+    condition: float = 1e5
+    # rounding error of forward kinematics [rad, or lengths over the scale], added to the error e
+    kinematics: float = 1e-12
+    # largest joint value [rad, or lengths over the scale] that is accepted; its rounding error is 1e-13
+    widest: float = 1e3
+    # [rad, or lengths over the scale] a target counts as in a planar arm's plane if it is off by less than `flat`
+    flat: float = 1e-9
+    # two axes count as parallel if the sine of their angle is smaller; `share` covers the error made by that
+    parallel: float = 1e-12
+    # [rad] Nothing is claimed for a larger rotation error |phi|, because phi is not smooth at half a turn.
+    turned: float = 3.1
+    # distance (by `NewtonCertificate.norm`) by which a solution given by the user may differ from the exact one
+    listed: float = 1e-6
 
 
 ALLOW = Allowances()
@@ -94,7 +102,7 @@ class NewtonCertificate:
         return (self.h <= 0.5) & (self.inside | (not self.limits))
 
     def norm(self, dq: Any) -> np.ndarray:
-        """Return the length (...) of displacements dq (..., n) [rad or m] in the norm of eta, radius and bounds."""
+        """Return the lengths (...) of joint displacements dq (..., n) [rad or m], in the norm of `eta`, `radius` and `bound`."""
         return np.linalg.norm(np.asarray(dq, dtype=float) @ self._to_norm.T, axis=-1)
 
     def bound(self, steps: int) -> np.ndarray:
@@ -106,7 +114,7 @@ class NewtonCertificate:
         return np.where(self.proven, 2.0 * self.eta * (2.0 * h) ** (2.0**k - 1.0) / 2.0**k, np.inf)
 
     def leads_to(self, solutions: Any) -> np.ndarray:
-        """Return the index of the solution to which Newton leads from each start.
+        """Return for each start the index of the solution to which Newton's iteration provably converges.
 
         Args:
             solutions: `Solutions` of the target, or an array (K, n) [rad or m].
@@ -186,7 +194,8 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     slides, runs = (robot.chain.rows[:, 9] == 0.0).any(), int(turning[-1].sum())
     L = np.zeros_like(beta)
     L[:, 0] = _position_constant(robot, Q, 2.0 * eta, turning)
-    if kinds[0] == KIND.pose and runs > 1:  # If all axes are parallel, the rotation error log(R R*') is linear in q.
+    # not if all axes are parallel: the rotation error log(R R*') is then linear in q, and its constant 0
+    if kinds[0] == KIND.pose and runs > 1:
         L[known, 1] = _rotation_constant((angle + np.sqrt(runs) * 2.0 * eta)[known], runs)
     L *= 1.0 + ALLOW.share
     omega = (beta * L).sum(axis=1)
@@ -194,10 +203,10 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     holds = h <= 0.5
     root = 1.0 + np.sqrt(1.0 - 2.0 * np.where(holds, h, 0.0))
     radius = np.where(holds, (1.0 + ALLOW.share) * 2.0 * eta / root, np.inf)
-    # Bounds that depend on slides or on phi hold only within 2 eta of q0.
+    # With prismatic joints or a rotation error, the Lipschitz constants hold only within 2 eta of q0.
     far = 2.0 * eta if slides or L[:, 1].any() else root / np.where(known, omega, 1.0)
     each = np.linalg.norm(np.linalg.inv(to_norm), axis=1) * robot.chain.unit * radius[:, None]
-    # these are the limits that the solver itself reads
+    # joint limits as the compiled solver has them, so that both decide alike
     lower, upper = robot.chain.ends[POINTS : POINTS + 2 * robot.n].reshape(2, -1) * robot.chain.unit
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
@@ -258,14 +267,14 @@ def _position_constant(robot: Robot, Q: np.ndarray, around: np.ndarray, turning:
     slides = np.zeros((n, n))
     slides[1:] = turning[:-1] * np.abs(rows[1:, 6:7])
     if (rows[:, 9] > 0.0).all():
-        lengths = lengths[:1]  # this constant does not depend on the configuration
+        lengths = lengths[:1]  # Without prismatic joints the bound is the same at every start, so one row is enough.
     D = np.einsum("nk,ki,kj->nij", lengths, turning, turning) + slides + slides.T
     return np.broadcast_to(chain.scale * np.linalg.norm(D, 2, axis=(1, 2)), len(Q))
 
 
 def _rotation_constant(angle: np.ndarray, runs: int) -> np.ndarray:
     """Return bounds (N,) of the second derivatives of phi for |phi| up to `angle` (N,) [rad]; infinite from ALLOW.turned on."""
-    # Below 1e-3 rad the bound at 1e-3 is used, because the fraction loses its digits.
+    # For angles below 1e-3 rad the bound at 1e-3 rad is used, because the fraction would lose its digits.
     x = np.clip(angle, 1e-3, ALLOW.turned)
     derivative = 0.5 + (x - np.sin(x)) / (2.0 - 2.0 * np.cos(x))
     return np.where(angle < ALLOW.turned, runs * derivative * 0.5 * x / np.sin(0.5 * x), np.inf)

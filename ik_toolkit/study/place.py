@@ -26,7 +26,7 @@ from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
 from .reachability import quality
 
-# the attributes of a Placement that are written to files
+# attributes of each Placement that `Placements.to_dict` returns as numbers
 NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
 
 
@@ -79,9 +79,10 @@ class Placement:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Sort key; a larger one is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability.
+        """Sort key, the larger the better: poses reached, then fewer reconfigurations, clearance, margin, manipulability.
 
-        Without a path, or where it cannot be followed, the number of reconfigurations counts as infinite.
+        Reconfigurations are jumps of the path through the poses; if there is no path, or it cannot be followed, they count as
+        infinitely many.
         """
         clear = 0.0 if np.isnan(self.clearance) else self.clearance
         breaks = len(self.path.reconfigurations) if self.path is not None and self.path.success else np.inf
@@ -279,7 +280,9 @@ def _result(study: Candidates, count: int, ordered: bool) -> Placements:
     ]
     found = [_placement(study, base, measures) for base in bases]
     found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
-    if ordered:  # Paths are computed for the first few only; `rank` then prefers fewer reconfigurations.
+    # Computing a path through the poses takes long, so only the first few placements get one, and are sorted again by fewer
+    # reconfigurations.
+    if ordered:
         few = place_search.SEARCH.followed
         found = [replace(one, path=_followed(study, one)) for one in found[:few]] + found[few:]
         found = sorted(found, key=lambda one: one.rank, reverse=True)

@@ -16,33 +16,36 @@ from .reachability_grid import memory_allowed
 
 
 class SearchSizes(NamedTuple):
-    """Sizes of the search, chosen on a benchmark of 800 poses along three edges of a sheet."""
+    """Sizes of the search for base poses, chosen on a benchmark of 800 poses along three edges of a sheet."""
 
     samples: int = 400_000  # random configurations of which the inverse reachability map is made
-    height: float = 1 / 40  # width of the map's cells in the tip's height, over the reach
-    sides: int = 9  # number of cells along each edge of the cube onto which directions are projected
-    floor: float = 1 / 24  # width of a cell of the floor, over the reach; the map counts the poses in reach from it
-    yaws: int = 36  # number of cells of yaw in which the map counts poses in reach
+    # width of a cell of the inverse reachability map in the height of the tip, as a share of the reach
+    height: float = 1 / 40
+    # tool directions are sorted into cells by projecting them onto a cube, with `sides` cells along each edge
+    sides: int = 9
+    # width of a cell of the floor, as a share of the reach; the inverse reachability map counts poses in reach from each cell
+    floor: float = 1 / 24
+    yaws: int = 36  # number of cells into which the yaw of the base is divided in the inverse reachability map
     voted: int = 300  # number of candidates proposed by the inverse reachability map
-    spread: int = 3000  # number of candidates spread evenly over the region
-    few: int = 32  # number of poses on which these candidates are examined
+    spread: int = 3000  # number of candidate bases spread evenly over the allowed region
+    few: int = 32  # number of poses on which the first candidates are examined, before all poses are tried
     rounds: int = 4  # number of rounds of refinement, each with half the width of the last
-    keep: int = 10  # number of bases that are refined
+    keep: int = 10  # number of best bases around which each round of refinement searches
     around: int = 20  # number of new bases around each base that is refined
     last: int = 740  # number of candidates that are examined on all poses
-    # number of rounds that refine the best three bases; the bases that they add count towards `last`
+    # number of rounds that refine the best three bases on all poses; the bases they add are among the `last` ones
     final: int = 8
     attempts: int = 4  # number of solver attempts per pose while candidates are examined
     sure: int = 50  # number of solver attempts per pose for the placements that are returned
     followed: int = 3  # number of placements for which a path through ordered poses is computed
-    measured: int = 50  # number of configurations at which clearance is measured
+    measured: int = 50  # number of configurations of a placement at which the clearance to obstacles is measured
 
 
 SEARCH = SearchSizes()
 
 
 def base_poses(bases: np.ndarray) -> np.ndarray:
-    """Return T_world_base (M, 4, 4) of bases (M, 4): x, y, yaw, height [m, rad]."""
+    """Convert bases (M, 4), given as x, y, yaw, height [m, rad], to poses T_world_base (M, 4, 4)."""
     c, s = np.cos(bases[:, 2]), np.sin(bases[:, 2])
     T = np.zeros((len(bases), 4, 4))
     T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 2], T[:, 3, 3] = c, -s, s, c, 1.0, 1.0
@@ -51,7 +54,7 @@ def base_poses(bases: np.ndarray) -> np.ndarray:
 
 
 def in_base(bases: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Return world poses W (N, 4, 4), or positions (N, 3), in the frames of bases (M, 4), as (M, N, 4, 4) or (M, N, 3)."""
+    """Convert world poses W (N, 4, 4), or positions (N, 3), to the frame of each base (M, 4): (M, N, 4, 4) or (M, N, 3)."""
     inverse = np.linalg.inv(base_poses(bases))
     if W.ndim == 2:
         return np.einsum("mij,nj->mni", inverse[:, :3, :3], W) + inverse[:, None, :3, 3]
@@ -91,7 +94,8 @@ class Candidates:
         """Search for bases from which most poses are reached; `best` returns those found, also after an interruption."""
         S, N = SEARCH, sum(map(len, self.W.values()))
         few, some = ({tip: W[:: max(1, -(-N // k))] for tip, W in self.W.items()} for k in (S.few, 4 * S.few))
-        # widths within which the first round of refinement draws new bases: those of the region, but at most a share of the reach
+        # how far [m, m, rad, m] from a good base the first round of refinement draws new ones: the size of the region, but at most
+        # a share of the reach
         width = np.minimum(
             self.high - self.low, np.array([0.15, 0.15, 0.3 / self.robot.reach, 0.15]) * self.robot.reach
         )
@@ -111,13 +115,16 @@ class Candidates:
             self.full.append((new, self.count(new, self.W, S.keep, score)))
 
     def best(self) -> np.ndarray:
-        """Return the bases (M, 4) examined so far, best first; if some were examined on all poses, only those."""
+        """Return the bases (M, 4) examined so far, best first; once some have been examined on all poses, only those."""
         bases, score = put_together(self.full or self.tried)
         return self.top(bases, score, len(bases))[0]
 
     @staticmethod
     def apart(bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
-        """Return the first `count` of bases (M, 4) that are farther than width (4,) from those before them."""
+        """Choose up to `count` bases (M, 4) that differ from each other by more than width (4,), preferring the first.
+
+        The width is for x, y [m], yaw [rad] and height [m].
+        """
         found = bases[:1]
         for base in bases[1:]:
             away = np.abs(base - found)
@@ -128,7 +135,7 @@ class Candidates:
 
     @staticmethod
     def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the `count` best bases with their scores, best first; bases with equal scores stay in their order."""
+        """Return the `count` bases with the highest scores, best first, and the scores; equal scores keep their order."""
         order = np.argsort(-score, kind="stable")[:count]
         return bases[order], score[order]
 
@@ -146,7 +153,7 @@ class Candidates:
         return self.low + steps * (self.high - self.low)
 
     def count(self, bases: np.ndarray, W: dict[str, np.ndarray], keep: int, than: Any = ()) -> np.ndarray:
-        """Return the share of poses W that is reached from each base (M,).
+        """Return for each of M bases the share of the poses W that the robot reaches from there.
 
         With obstacles, each base is first examined without them, because obstacles can only lower its share. If that share already
         rules it out of the best `keep` bases (of those examined so far, and of others whose shares are `than`), it is returned, and
@@ -169,7 +176,7 @@ class Candidates:
         return share
 
     def reach(self, bases: np.ndarray, W: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return which poses W are reached from bases (m, 4) if there are no obstacles (m, N), and joint values (m, N, n)."""
+        """Return which of N poses W are reached from m bases without regard to obstacles (m, N), and joint values (m, N, n)."""
         found = [self.solve(tip, in_base(bases, T).reshape(-1, *T.shape[1:]), SEARCH.attempts) for tip, T in W.items()]
         good, q = zip(*found, strict=True)
         return (
@@ -180,9 +187,10 @@ class Candidates:
     def reach_beside(
         self, bases: np.ndarray, W: dict[str, np.ndarray], reached: np.ndarray, q: np.ndarray
     ) -> np.ndarray:
-        """Return which poses (m, N) are reached free of contact; `reached` (m, N): those that q (m, N, n) reaches at all.
+        """Return which poses (m, N) are reached from bases (m, 4) without touching an obstacle.
 
-        Where q is in contact, the pose is solved again from a few random starts.
+        reached (m, N), q (m, N, n): which are reached at all, and how. Where q is in contact, the pose is solved again from a few
+        random starts.
         """
         free, tries, first = np.zeros_like(reached), SEARCH.attempts - 1, 0
         base, pose = np.nonzero(reached)
@@ -200,7 +208,7 @@ class Candidates:
         return free
 
     def untouched(self, bases: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Return which configurations q (k, n) at bases (k, 4) touch no obstacle; equal bases are side by side."""
+        """Return which configurations q (k, n) at bases (k, 4) touch no obstacle; rows of the same base must follow each other."""
         free, at = np.zeros(len(q), bool), None
         for k, base in enumerate(bases):
             if at is None or (base != at).any():
@@ -215,7 +223,7 @@ class Candidates:
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
     def solve_beside(self, base: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for all poses from one base (4,), among the obstacles; return which are reached (N,), and q (N, n)."""
+        """Solve for all poses from one base (4,), avoiding the obstacles; return which are reached (N,), and q (N, n)."""
         more: dict[str, Any] = {"check": 1.0}
         if self.scene is not None:
             self.stand(base)
@@ -224,13 +232,16 @@ class Candidates:
         return np.concatenate([good for good, _ in found]), np.concatenate([q for _, q in found])
 
     def stand(self, base: np.ndarray) -> None:
-        """Move the shapes of the scene to where they are relative to a base (4,)."""
+        """Put the obstacles where they are as seen from a base (4,), because collisions are computed in the robot's base frame."""
         back = np.linalg.inv(base_poses(base[None])[0])
         for name, at in self.shapes:
             self.scene.move(name, back @ at)  # pyright: ignore[reportOptionalMemberAccess]
 
     def votes(self) -> np.ndarray:
-        """Return the bases (M, 4) that reach most poses by an inverse reachability map; none if positions are asked for."""
+        """Propose bases (M, 4) by an inverse reachability map: those from which most poses are in reach. None for positions.
+
+        The map counts, for each cell of the floor and each yaw, the poses that random configurations reach from there.
+        """
         S, reach = SEARCH, self.robot.reach
         cell, found, tables = reach * S.floor, [np.empty((0, 4))], []
         for arm in self.robot.arms:
@@ -250,7 +261,8 @@ class Candidates:
                     at = at[((at >= 0) & (at < sides)).all(axis=1)]
                     votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
-            # add the counts of neighbouring cells; yaw is periodic, and the outer cells of x and y are empty
+            # Each cell gets the counts of its neighbours added. `roll` wraps around, which is right for yaw and harmless in x and
+            # y, whose outer cells are empty.
             for axis in range(3):
                 smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
@@ -267,11 +279,12 @@ class Candidates:
         """
         at = np.concatenate([W[:, :2, 3] for W in self.W.values() if W.ndim == 3])
         near, far = at.min(axis=0) - self.robot.reach, at.max(axis=0) + self.robot.reach
-        # Whole cells are skipped, so that the rest stay where they are.
+        # Cells without a pose in reach are skipped. Only whole cells are, so that the grid of the others does not shift.
         skipped = np.maximum(np.floor((near - self.low[:2]) / cell), 0.0)
         low = self.low[:2] + skipped * cell
         counts = np.maximum(np.ceil((np.minimum(far, self.high[:2]) - low) / cell), 1.0)
-        need = 4.5 * 8.0 * SEARCH.yaws * float(counts.prod())  # one array of int32, four of floats
+        # bytes: one array of int32 and four of floats with an entry for each cell
+        need = 4.5 * 8.0 * SEARCH.yaws * float(counts.prod())
         if need > memory_allowed():
             raise InvalidTarget(
                 f"the poses are spread over {' x '.join(f'{x:.4g}' for x in np.ptp(at, axis=0))} m, and the robot reaches "

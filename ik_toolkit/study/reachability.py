@@ -46,7 +46,7 @@ class MapNotSaved(IKError):
 
 
 def require_reaching(options: Options, what: str) -> None:
-    """Raise InvalidOption for options that have no place in a study of what is reached: about a start, or without the position."""
+    """Raise InvalidOption for solver options that make no sense here: those about a start, and orientation before position."""
     for name in ("closest", "follow"):
         if getattr(options, name):
             raise InvalidOption(f"{name} is about the start of one solve, and {what} chooses the starts; omit {name}")
@@ -57,7 +57,7 @@ def require_reaching(options: Options, what: str) -> None:
 
 
 def decides(plan: Plan) -> bool:
-    """Return whether this plan's solver finds or excludes a solution of every target, so that more attempts are of no use."""
+    """Return whether a plan's solver decides every target (finds a solution or proves there is none), so one attempt is enough."""
     return plan.row.closed or isinstance(plan, Deciding)
 
 
@@ -122,7 +122,7 @@ def reachability(
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((KIND.position if grid.rotations is None and grid.poses is None else KIND.pose,))
     require_reaching(plan.options, "reachability")
-    # If the options narrow the limits, the solver has a variant of the robot with these limits.
+    # If the options narrow the limits, the solver works on a copy of the robot with the narrower limits.
     robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:
         grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
@@ -201,14 +201,14 @@ class _Study:
             self.flood(tried)
             rng = np.random.default_rng(self.plan.options.seed)
             while len(rows := self.open_beside_yes()):
-                # All targets of a call share their random starts. Neighbouring cells are mostly solved in different calls, so they
-                # get different starts; then each tries the other's answers.
+                # All targets of one call get the same random starts. The cells are shuffled into groups, so that neighbours mostly
+                # get different starts; then `flood` lets each try its neighbours' solutions as starts.
                 for k, some in enumerate(np.array_split(rng.permutation(rows), EFFORT.groups), 1):
                     self.solve(np.sort(some), Reach.MANY, restarts=EFFORT.many - 1, seed=self.plan.options.seed + k)
                 self.flood(tried)
 
     def open_beside_yes(self) -> np.ndarray:
-        """Return the indices of answers left open by few attempts whose cell touches one reached in the same orientation."""
+        """Return the indices of undecided answers (cell and orientation) beside a cell that is reached in the same orientation."""
         near = (self.states == Reach.YES).reshape(*self.grid.shape, self.grid.turns)
         for axis in range(3):
             one = np.moveaxis(near, axis, 0)
@@ -218,9 +218,9 @@ class _Study:
         return np.flatnonzero(near.ravel() & (self.states == Reach.FEW))
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
-        """Solve the targets of answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get state `failed`.
+        """Solve the targets of some answers (indices `rows` (m,)), from q0 (m, n) if given, and store what is found.
 
-        Returns the number of targets that are newly reached.
+        Those with neither a solution nor a proof get the state `failed`. Returns the number of targets that are newly reached.
         """
         yes = 0
         for a in range(0, len(rows), EFFORT.chunk):
@@ -236,7 +236,7 @@ class _Study:
         return yes
 
     def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:
-        """Store the results of a batch for answers `rows` (m,); those already known to be reached stay so."""
+        """Store the results of a batch as answers (indices `rows` (m,)); a known yes stays so. Return the number of yes."""
         good = batch.success & self.inside(rows, batch)
         left = np.where(batch.proven, Reach.NO, np.maximum(self.states[rows], failed))
         states = np.where(good, Reach.YES, left).astype(np.int8)
@@ -248,7 +248,7 @@ class _Study:
         return int(good.sum())
 
     def inside(self, rows: np.ndarray, batch: BatchResult) -> np.ndarray:
-        """Return which solutions (m,) are within the limits and, for positions and poses, the tolerances (forward kinematics)."""
+        """Check solutions by forward kinematics; return which (m,) are within the limits and the tolerances."""
         robot, o, q = self.robot, self.plan.options, batch.q
         good = ((q >= robot.lower) & (q <= robot.upper)).all(axis=1) if o.limits is True else np.ones(len(q), bool)
         if o.in_part or o.priority is not None:
@@ -262,7 +262,7 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Solve unreached targets again from the configurations of reached neighbours, until no more solutions are found.
+        """Solve unreached targets again, starting at solutions of neighbouring cells, until no more are found.
 
         tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """
@@ -317,7 +317,7 @@ class _Study:
 
 
 def quality(robot: Robot, position_only: bool) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that computes manipulability and margin to the limits (2, N) of configurations (N, n).
+    """Return a function that computes for configurations (N, n) their manipulability and their margin to the joint limits (2, N).
 
     Manipulability is the product of the k largest singular values, where k is the rank of the Jacobian at random configurations
     (Yoshikawa 1985; k allows for arms that cannot move in all directions).

@@ -15,14 +15,16 @@ from .workspace import envelope
 
 
 class GridEffort(NamedTuple):
-    """Numbers of solver attempts; `scripts/benchmarks/reach.py` measures what they miss on a Panda."""
+    """How much work a study of reachability spends on each answer; `scripts/benchmarks/reach.py` measures what it misses."""
 
     few: int = 4  # number of attempts at each target of a grid, before the configurations of its neighbours are tried as starts
     # number of attempts at an unreached, unproven cell that touches a reached one, and at single poses, which have no neighbours
     many: int = 50
-    groups: int = 16  # number of groups of cells beside reached ones, each with random starts of its own
-    audited: int = 1000  # number of attempts at each unproven answer that the audit tries again
-    chunk: int = 2**16  # number of answers computed between two writes to the file
+    # undecided cells beside reached ones are solved in `groups` groups, each with its own random starts
+    groups: int = 16
+    # number of solver attempts at each undecided answer that the audit (a check by random sample) tries again
+    audited: int = 1000
+    chunk: int = 2**16  # number of answers (cell and orientation) that are computed at a time, then written to the file
     cells: int = 40  # number of cells along the longest side of a region, unless the resolution is given
 
 
@@ -59,7 +61,7 @@ class Grid:
 
     @property
     def turns(self) -> int:
-        """Number of orientations asked for in each cell."""
+        """Number of orientations that are asked for at the centre of each cell."""
         return 1 if self.rotations is None else len(self.rotations)
 
     @property
@@ -69,7 +71,8 @@ class Grid:
 
     def memory(self, n: int) -> int:
         """Return the largest memory [bytes] of a study with n joints, in addition to that of the program."""
-        # Memory per answer: its state, its q, two numbers and the bits for neighbours tried. Memory per cell: the result.
+        # Each answer needs its q, its state, two numbers, and bits that say which neighbours were tried; each cell needs the best q
+        # and its measures.
         return self.answers * (8 * n + 1 + 8 + 4) + self.cells * (8 * n + 16) + EFFORT.chunk * 8 * (2 * 16 + 3 * n + 20)
 
     @property
@@ -113,7 +116,7 @@ class Grid:
 def grid_of(
     robot: Robot, region: Any = None, resolution: float | None = None, orientations: Any = "any", axis: Any = None
 ) -> Grid:
-    """Return the cells and target poses for these arguments of `reachability`, without solving anything."""
+    """Return the grid of cells and target poses that arguments of `reachability` describe; nothing is solved."""
     if _are_poses(region):
         if resolution is not None or not (isinstance(orientations, str) and orientations == "any"):
             raise InvalidOption("loose poses are answered as they are; omit resolution and orientations")
@@ -138,10 +141,11 @@ def grid_of(
     pitch = positive(resolution, "resolution [m]")
     counts = np.maximum(np.ceil(wide / pitch - 1e-9), 1.0)
     size = np.where(wide > 0.0, pitch, 0.0)
-    low = 0.5 * (low + high) - 0.5 * size * counts  # the block of cells is centred in the region
+    # whole cells are a little larger than the region, so they are centred in it
+    low = 0.5 * (low + high) - 0.5 * size * counts
     rotations, free = _rotations(orientations)
     if rotations is not None and free and axis is not None:
-        # with this factor the tip axis `axis` points where the tip's z axis would
+        # turn the tip so that `axis`, instead of its z axis, points in the wanted directions
         rotations = rotations @ _frame(np.array([axis]))[0].T
     shape = tuple(int(k) for k in counts)
     return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))

@@ -21,16 +21,16 @@ from .reachability_grid import Grid
 
 
 class Reach(IntEnum):
-    """States of the answers in a ReachabilityMap: whether a cell is reached in an orientation."""
+    """Possible answers to whether the tip reaches a cell in one orientation, as stored in a ReachabilityMap."""
 
     UNTRIED = 0
     YES = 1  # reached, with a configuration that was checked
     NO = 2  # proven out of reach
-    FEW = 3  # nothing found by few attempts, nothing proven
-    MANY = 4  # nothing found by all attempts, nothing proven
+    FEW = 3  # undecided: a few attempts found no solution, and nothing is proven
+    MANY = 4  # undecided: all attempts found no solution, and nothing is proven
 
 
-# the answers that `ReachabilityMap.counts` counts, in words
+# the keys of `ReachabilityMap.counts`, each with the words that tables use for it
 ANSWERS = {
     "yes": "reached",
     "no": "proven out of reach",
@@ -40,16 +40,16 @@ ANSWERS = {
 
 
 class Audit(NamedTuple):
-    """Check of the answers that were neither found nor proven: a random sample of them is tried again with many more attempts."""
+    """How reliable a map is: a random sample of its undecided cells, tried again with many more attempts."""
 
-    unproven: int = 0  # number of unreached cells without proof before the audit
-    tried: int = 0  # how many of these unproven answers were tried again
-    found: int = 0  # how many of those tried again are reached after all; the map shows them as reached
-    attempts: int = 0  # number of attempts at each answer tried again
+    unproven: int = 0  # number of undecided answers (not reached, but not proven out of reach) before the audit
+    tried: int = 0  # how many of the undecided answers were tried again
+    found: int = 0  # how many of the answers tried again turned out to be reached; the map then shows them as reached
+    attempts: int = 0  # number of solver attempts at each answer that was tried again
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval (Wilson 1927) of the share of wrong answers among the unproven ones, before the audit's corrections."""
+        """The 95 % interval (Wilson 1927) of the share of undecided answers that can be reached, before the audit's corrections."""
         return wilson(self.found, self.tried) if self.tried else (0.0, float(self.unproven > 0))
 
     def __str__(self) -> str:
@@ -342,7 +342,7 @@ class Log:
         """Close the file, and remove it if the study is `finished` and its map was written."""
         try:
             self.stream.close()
-        except OSError:  # on a full disk, flushing fails again when the file is closed
+        except OSError:  # Closing flushes again, which fails on a full disk; that was already reported.
             pass
         if finished:
             self.path.unlink(missing_ok=True)

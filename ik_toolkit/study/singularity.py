@@ -14,12 +14,13 @@ from ..solvers.solve import Solver
 from ..validate import solver_list
 from .benchmark import wilson
 
-STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share of the reach] counts as stuck.
+# [rad, or share of the reach] A solve counts as stuck at its start if no joint ever moves farther than this.
+STUCK = 1e-9
 
 
 @dataclass(frozen=True)
 class Run:
-    """A solve from a start, with measures of singularity at each of its k evaluations.
+    """A recorded solve: how near to singular the arm was at each of its k evaluations.
 
     Attributes:
         solver: Name of the solver.
@@ -102,7 +103,7 @@ def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options
 
 @dataclass(frozen=True)
 class Escape:
-    """Counts of how often a solver succeeds from a start, and from a slightly different one.
+    """How often one solver succeeds from a (singular) start, and how often from a slightly different one.
 
     Attributes:
         solver: Name of the solver.

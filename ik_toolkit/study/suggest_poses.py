@@ -12,7 +12,7 @@ from ..robot.tree import require_one_tip
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import NOISE, PRIOR, WHAT, read_noise
 
-CANDIDATES = 400  # random configurations among which poses to measure are chosen
+CANDIDATES = 400  # number of random configurations among which those to measure are chosen
 
 
 def suggest_poses(
@@ -111,7 +111,7 @@ def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
     if avoid is True:
         try:
             avoid = CollisionModel(robot)
-        except ModelError:  # the robot has no collision shapes
+        except ModelError:  # A robot without collision shapes has no collisions to avoid.
             avoid = False
     if isinstance(avoid, CollisionModel):
         return Q[[not avoid.collides(q) for q in Q]]

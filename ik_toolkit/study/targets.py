@@ -13,12 +13,12 @@ from ..solvers.solve import require_robot
 from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
-CELLS = 40  # number of voxels along the reach; each 'volume' target is in a random voxel
-POOL = 200_000  # number of random configurations whose tips fill the voxels
+CELLS = 40  # number of voxels along the reach; the method 'volume' draws a random voxel for each target
+POOL = 200_000  # number of random configurations from whose tip positions the method 'volume' finds the voxels in reach
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
-    """Return the given tip, or a Robot's only one if `tip` is None.
+    """Return the tip to work with: the given one, or the only one of the robot if `tip` is None.
 
     Raises:
         InvalidOption: None is given, and the robot has several.
@@ -32,9 +32,9 @@ def one_tip(robot: Robot | Tree, tip: str | None) -> str:
 
 
 def fingerprint(robot: Robot | Tree, *parts: Any) -> str:
-    """Return a text that tells files of earlier runs apart: it differs for other joints, links or limits, and for other parts.
+    """Return a hash of a robot and further values, by which a program sees whether a file is from the same study.
 
-    parts: arrays, or values whose repr shows all they hold.
+    It differs for other joints, links or limits. parts: the further values, arrays or values whose repr shows all they hold.
     """
     digest = hashlib.sha256()
     for one in (robot.chain.rows, robot.chain.ends, robot.lower, robot.upper, *parts):
@@ -107,7 +107,10 @@ def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
 def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
-    """Draw the targets of `sample_targets` in chunks, for more than fit in memory; chunk k depends only on (seed, k)."""
+    """Yield random reachable targets (see `sample_targets`) in chunks, for more than fit in memory.
+
+    Chunk k depends only on (seed, k).
+    """
     count = whole(count, "targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

@@ -28,9 +28,10 @@ from .engines import Evolution, Swarm, make_space
 from .targets import fingerprint, sample_targets
 
 METHODS = ("cma", "pso")
-JUDGED_SOON = 1  # number of held-out target sets for the final comparison after Ctrl-C, so that it ends soon
+# number of held-out target sets in the final comparison if Ctrl-C ended the search; one, so that it ends soon
+JUDGED_SOON = 1
 FINALISTS = 8  # number of best candidates that are compared on the validation targets
-# Highest number of iterations during the search, where failures take most of the time and slow solves should count as failures.
+# Largest number of iterations of a solve during tuning, where failures take most of the time and slow solves count as failures.
 SEARCH_ITERATIONS = 300
 # Each set of targets has a random stream of its own, so no target is in two sets.
 TRAIN, VALIDATION, HELD_OUT = 1, 2, 3
@@ -102,9 +103,8 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 class TuneResult:
     """Result of `tune`: the best parameters found for a solver, and how they compare on fresh targets.
 
-    A rule is a solver with given parameters. Three are compared on held-out targets: the tuned rule, the one the search started
-    from, and the solver's default.
-    The default cannot be kept if maps= or initial= asked for another structure.
+    Three solvers with parameters (rules) are compared on held-out targets: the tuned one, the one that the search started from,
+    and the solver's default. The default is not chosen if the options maps or initial asked for another structure.
     """
 
     robot: str  # name of the robot
@@ -112,11 +112,11 @@ class TuneResult:
     method: str  # method of the search: 'cma' or 'pso'
     position_only: bool  # whether the targets are positions
     rule: Any  # the best of the three rules, for solve, Solver and solve_batch
-    train: Score  # score of the tuned rule on the training targets
+    train: Score  # score of the tuned rule on the targets that the search used
     scores: dict[str, Score]  # scores on the held-out targets of the rules 'tuned', 'start' and 'default'
     kept: str  # name of the kept rule: 'tuned', 'start' or 'default'
     options: dict[str, Any]  # options with which the targets were solved
-    history: np.ndarray  # (generations, 3) best cost so far, best and median cost of each generation
+    history: np.ndarray  # (generations, 3) after each generation: lowest cost so far; lowest and median cost in it
     evaluations: int  # number of candidates that were evaluated
     elapsed: float  # time of the whole tuning [s]
     seed: int  # seed of the search and its targets
@@ -328,11 +328,11 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # the best candidate before the first generation
+        if not self.best:  # Before the first generation, the start is the best candidate.
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:
-        """Return the costs of the optimiser's next candidates, from the checkpoint file if it has them."""
+        """Return the costs of the optimiser's next generation of candidates, from the checkpoint file if that has them."""
         X = engine.ask()
         costs = record.replay(len(self.history), X)
         if costs is None:
@@ -358,7 +358,7 @@ class _Search:
 
 
 def check_record(file: Path) -> None:
-    """Raise InvalidOption if a file is not the checkpoint of a search."""
+    """Raise InvalidOption unless the content of a file is the checkpoint of a tuning search."""
     _Record.read(file)
 
 

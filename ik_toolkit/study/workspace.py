@@ -27,10 +27,11 @@ from .targets import one_tip, sample_targets, stream_targets
 
 
 class StudySizes(NamedTuple):
-    """Sizes of a workspace study: cells of the map, and what is kept in memory."""
+    """Sizes of a workspace study: cells of the map, and how much is kept in memory."""
 
     cells: int = 24  # number of cells along the longest side of the success map
-    envelope: int = 100_000  # number of random configurations whose tip positions give the envelope
+    # number of random configurations from whose tip positions the size of the workspace is measured
+    envelope: int = 100_000
     kept: int = 20_000  # number of targets kept in memory for plots; a file receives all of them
     failures: int = 1000  # number of failures kept in memory for each solver
 
@@ -71,7 +72,7 @@ class SolverCounts:
 
 @dataclass(repr=False)
 class Workspace(Tabled):
-    """What a workspace study found: the reach of the tip, and where solvers succeed."""
+    """Result of `workspace`: the reach of the tip, and where in it solvers succeed."""
 
     robot: str  # name of the robot
     low: np.ndarray  # (3,) lower corner of the box around the reach [m], base frame
@@ -80,10 +81,11 @@ class Workspace(Tabled):
     cell: float  # width of a cell of the map [m]; the first cell begins at `low`
     tip: str  # the tip whose reach is studied
     outcomes: dict[str, SolverCounts]  # counts of each solver, by its name
-    map: dict[str, np.ndarray]  # targets and solved targets in each cell (2, nx, ny, nz), by solver
-    failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
+    map: dict[str, np.ndarray]  # numbers of targets and of solved targets in each cell (2, nx, ny, nz), by solver
+    # target position x, y, z and position error left [m] of the first failures (M, 4), by solver
+    failures: dict[str, np.ndarray]
     points: np.ndarray  # (N, 3) positions of the first targets [m], for plots
-    solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
+    solved: dict[str, np.ndarray]  # whether each target in `points` was solved (N,), by solver
 
     def table(self) -> TextTable:
         """Return successes, iterations, errors and times as a table, with a row for each solver."""
@@ -195,7 +197,8 @@ def workspace(
                 angle = [one.orientation_error for one in parts if one.orientation_error is not None]
                 part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
                 columns.append(part)
-            # The lines are made first because that is slow: Ctrl-C then hardly ever comes between writing and counting a chunk.
+            # The lines for the file are made first because that is slow. Writing and counting a chunk then follow each other so
+            # closely that Ctrl-C hardly ever comes between them.
             lines = table.lines(xyz, columns)
             table.write(lines)
             tally.add(xyz, columns, seconds)
@@ -230,7 +233,7 @@ class _Tally:
         self.kept = self.done = 0
 
     def add(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]], seconds: list[float]) -> None:
-        """Count a chunk, given its target positions (m, 3) [m], and the results and times [s] of each solver."""
+        """Add a chunk of targets to the counts: positions (m, 3) [m], and the results and times [s] of each solver."""
         index = np.clip(((xyz - self.low) / self.cell).astype(int), 0, self.shape - 1)
         for name, part, elapsed in zip(self.outcomes, columns, seconds, strict=True):
             self.outcomes[name].elapsed += elapsed

@@ -34,9 +34,10 @@ class Worker:
         while True:
             name = self._names.get()
             if self.ended:
-                self._jobs.clear()  # waiting jobs refer to the visitor's scene
+                self._jobs.clear()  # Waiting jobs would change a scene that no longer exists.
                 return
-            self._jobs.pop(name, lambda: None)()  # A job that replaced another one runs in its place, and only there.
+            # A job that replaced a waiting one runs in that one's place; its own place in the queue then finds nothing to do.
+            self._jobs.pop(name, lambda: None)()
             self._names.task_done()
 
     def idle(self, timeout: float = 30.0) -> bool:
@@ -51,11 +52,11 @@ class Worker:
 
 
 KEPT = 100  # largest number of changes that can be undone
-TOGETHER = 1.0  # [s] changes of one kind within this time are undone together, such as a drag
+TOGETHER = 1.0  # [s] Changes of one kind, such as a drag, that follow each other within this time are undone together.
 
 
 class Past:
-    """What a visitor can undo: joint values q (n,) and target poses (4, 4) by tip from before each change."""
+    """The undo history of one visitor: joint values q (n,) and target poses (4, 4) by tip from before each change."""
 
     def __init__(self) -> None:
         """Start with an empty history."""
@@ -90,7 +91,7 @@ def empty(folder: Any) -> None:
 
 
 class Visit:
-    """Connects one visitor with the controls of a page, which subclasses build."""
+    """One visitor of the panel: runs the jobs of the page's controls, which subclasses build, in a thread of its own."""
 
     def __init__(
         self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
@@ -98,9 +99,9 @@ class Visit:
         """Build the first robot's controls in the visitor's own thread."""
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
-        # Controls that not every page has.
+        # parts of the page that stay None where a subclass does not build them
         self.chart = self.found = self.around = self.learn = self.status = None
-        self.aspect = 0.0  # width over height of the picture when the camera was last aimed
+        self.aspect = 0.0  # width over height of the visitor's picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
@@ -126,7 +127,7 @@ class Visit:
                 words = str(error)
             except Exception as error:
                 words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
-            if not self.worker.ended:  # after a visitor has left, the handles no longer exist
+            if not self.worker.ended:  # After the visitor has left, there is no page to show a message on.
                 self.say(words, BAD)
 
         return run
@@ -171,7 +172,7 @@ class Visit:
         self.worker.post(name, self._guard(noted))
 
     def say(self, text: str, color: str = PLAIN, instead_of: str | None = None) -> None:
-        """Show a sentence in the status line; with `instead_of`, only if that is still the line's content."""
+        """Show a sentence in the status line. If `instead_of` is given, do so only if the line still has this content."""
         text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
         if self.status is None or instead_of not in (None, self.status.content):
             return

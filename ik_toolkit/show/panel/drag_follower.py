@@ -9,18 +9,19 @@ from ...servo.path_reach import near_limits
 from ...servo.tracker import Tracker
 from ...text import angle, length
 
-STEP = 0.02  # length of a step [s]
+STEP = 0.02  # [s] time step with which an arm follows a dragged target
 STEPS = 50  # number of steps before the page is drawn anew: one second of motion
-FAR = 1000.0  # a target farther away [arm reaches] is a mistake
-# The arm has settled after this many successive steps at rest (half a second, in which a tracker would find another posture).
+FAR = 1000.0  # [arm reaches] a target farther away than this is refused as a mistake
+# The arm counts as settled after REST successive steps without motion: half a second, long enough for a tracker to find another
+# posture if there is one.
 REST = 25
 
 
 class Followed(NamedTuple):
-    """State of an arm that follows a dragged target.
+    """State of an arm that follows a dragged target, after some steps.
 
-    It has q (n,), whether the target is reached, whether the joints are at rest, the position error [m] and rotation error [rad]
-    left at each tip, and a status message for the user.
+    Joint values q (n,), whether the target is reached, whether the joints are at rest, the position error [m] and rotation error
+    [rad] left at each tip, and a status message for the user.
     """
 
     q: np.ndarray
@@ -31,10 +32,10 @@ class Followed(NamedTuple):
 
 
 class Hand:
-    """An arm that follows a dragged target from call to call, with one `Tracker`.
+    """Moves an arm after a target that a visitor drags; each call of `follow` goes on where the last ended, with one `Tracker`.
 
-    q (n,) is where it starts, tolerance [m and rad] defines a reached target; limits, avoid_collisions and reconfigure
-    are those of `Tracker`. Raises what `Tracker` raises.
+    q (n,): joint values at the start; tolerance [m and rad]: errors below which the target counts as reached; limits,
+    avoid_collisions and reconfigure are those of `Tracker`. Raises what `Tracker` raises.
     """
 
     def __init__(
@@ -46,10 +47,10 @@ class Hand:
         self._kinds: list[int] | None = None
 
     def follow(self, q: np.ndarray, target: Any) -> Followed:
-        """Step from q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
+        """Move from q (n,) towards a target until it is reached, nothing moves any more, or a second of motion has passed.
 
-        If q is not where the arm was, it starts again from rest. At the edge of its reach the arm moves to the closest
-        pose. Raises InvalidTarget, and what `Tracker` raises.
+        If q is not where the last call ended, the arm starts again from rest. At the edge of its reach the arm moves to the
+        closest pose. Raises InvalidTarget, and what `Tracker` raises.
         """
         robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
         errors, rested, at, between = _errors(robot, q, target), 0, q, None
@@ -77,7 +78,7 @@ def _tracker(robot: Any, q: np.ndarray, **options: Any) -> Tracker:
 
 
 def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
-    """Compile (or load) what `follow` runs, with one discarded step, before the first drag."""
+    """Compile (or load) the code that `Hand.follow` runs, by a step that is discarded, so that the first drag need not wait."""
     _tracker(robot, q).update(target, STEP)
 
 

@@ -22,16 +22,16 @@ from .connection import QUIET, empty
 from .session import Session
 from .tables import as_sentence, note_html
 
-CHOSEN = (31, 95, 153)  # colour of the button of the branch shown
-FREEDOMS = 6  # with fewer joints the target is a position, unless a closed form solves poses
-STEP = 0.001  # Step [mm or deg] of the slider of the free parameter.
+CHOSEN = (31, 95, 153)  # colour of the button of the solution (branch) that is shown
+FREEDOMS = 6  # An arm with fewer joints gets a position as target, unless a closed form solves poses.
+STEP = 0.001  # [mm or deg] step of the slider for a joint value that the target leaves free
 
 
 class Lesson:
-    """The computations of the tab "Learn", without a page, in mm and degrees: forward and inverse kinematics, free parameter.
+    """The computations behind the tab "Learn" of the panel: forward and inverse kinematics, explained, in mm and degrees.
 
-    `made` is the Explanation of the last inverse solution, or None; `shown` is the number of its branch shown; `T` is
-    its target (4, 4) [m].
+    `made` is the Explanation of the last inverse solution, or None; `shown` is the index of the solution (branch) that is shown;
+    `T` is its target (4, 4) [m].
     """
 
     def __init__(self, session: Session) -> None:
@@ -67,7 +67,7 @@ class Lesson:
         return {name: tuple((column + 0.0).tolist()) for name, column in zip("noap", rounded, strict=True)}
 
     def sample(self) -> np.ndarray | None:
-        """Return the pose (4, 4) computed in the robot's paper, as printed, or None."""
+        """Return the example pose (4, 4) that the publication of this robot computes, as printed there, or None."""
         given = self.session.entry.sample
         return matrix_of(given) if given is not None and self.posed else None
 
@@ -78,7 +78,7 @@ class Lesson:
         return self._explain(T, "auto")
 
     def at(self, value: float) -> Result:
-        """Solve the same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
+        """Solve the same target again with the free joint at a value [mm or deg]; the same branch (by its label) stays shown."""
         free, label = self.worked.free, self.label
         form = find_row(self.made.form).load()
         result = self._explain(self.T, form(**{free.parameter: value / self.scale(free.joint)}))
@@ -88,7 +88,7 @@ class Lesson:
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
         result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
         self.made = result.explain()
-        # A typed rotation may have been corrected to an orthogonal matrix.
+        # The target is taken from the explanation, because a typed rotation may have been corrected to an orthogonal matrix.
         self.T = self.made.targets[self.robot.tip] if self.posed else T
         self.shown = self.made.nearest
         return result
@@ -100,26 +100,26 @@ class Lesson:
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """The branches of the last inverse solution."""
+        """The solutions (branches) that the closed form found for the last target; () without a closed form."""
         return self.worked.branches if self.worked is not None else ()
 
     @property
     def label(self) -> str:
-        """The label of the branch shown."""
+        """The label (signs of shoulder, elbow, wrist) of the solution that is shown, or ''."""
         return self.branches[self.shown].label if self.branches else ""
 
     def span(self) -> tuple[float, float] | None:
-        """Return the range [mm or deg] of the free parameter, from the first to the last interval within limits."""
+        """Return the range [mm or deg] for the slider of the free joint, or None; it spans all intervals within limits."""
         free = self.worked.free if self.worked is not None else None
         if free is None or not free.inside:
             return None
         low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
-        # The range is rounded inwards, so that the pose can be reached from both of its ends.
+        # The ends are rounded inwards, so that the pose is reached at both ends of the slider.
         return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP
 
 
 def matrix_of(columns: Mapping[str, Any]) -> np.ndarray:
-    """Return the homogeneous matrix (4, 4) whose columns are n, o, a and p."""
+    """Return the homogeneous matrix (4, 4) of a pose given by its columns n, o, a (rotation) and p (position)."""
     return np.vstack([np.column_stack([columns[name] for name in "noap"]), LAST])
 
 

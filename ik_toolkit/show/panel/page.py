@@ -21,13 +21,14 @@ from .solve_tab import Chart, Goal, SolutionsTab
 from .tables import Recorder, as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
-STEPS = 500  # least number of steps of a slider
-PUSH = 3.0  # [rad or arm reaches] length of the self-motion from the middle of its slider to either end
+STEPS = 500  # smallest number of steps that a slider for a joint has
+# [rad or arm reaches] how far the slider for the self-motion (joints move, tip stays) moves the joints to either side
+PUSH = 3.0
 MOST_TIPS = 4  # largest number of tips that can be chosen on the page
 
 
 class PanelPage(Visit):
-    """Controls and view of one visitor, who is a viser client; `files` tells whether robots may be loaded by path."""
+    """The panel's page for one visitor: controls and 3-D view. files: whether robots may be loaded by path, not only by name."""
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
@@ -192,7 +193,8 @@ class PanelPage(Visit):
         if not np.isfinite(value) or not len(null_directions(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
-        along = np.cos(np.arange(s.robot.n))  # arbitrary direction, practically never orthogonal to a self-motion
+        # arbitrary direction of joint motion: the one self-motion nearest to it is followed
+        along = np.cos(np.arange(s.robot.n))
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
         self.pushed = value
         self.show()

@@ -20,7 +20,8 @@ from ..access import guarded, is_loopback, new_token
 from .page import PanelPage
 from .session import Session
 
-HEARD = (  # messages accepted from a visitor's page: controls, handles of the target, camera
+# names of the viser messages that are accepted from a visitor's page: controls, handles of the target, camera
+HEARD = (
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
@@ -31,7 +32,7 @@ HEARD = (  # messages accepted from a visitor's page: controls, handles of the t
 
 
 class Follower(PanelPage):
-    """The page of `ik view --follow`: view, fields of the targets and status line, without the other controls."""
+    """The page of `ik view --follow`: the 3-D view, fields to type targets, and a status line."""
 
     def _build_controls(self) -> None:
         self.sliders: list[Any] = []
@@ -67,13 +68,15 @@ class Panel(Unique):
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
+        # viser warns of messages to a closed connection whenever a visitor leaves, which is normal
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         session = Session(source, tips)  # an invalid robot raises its error here
         here = session.robot.for_tips(session.poses())
         session.solve(here)  # compiles if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()
-        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's banner
+        # stdout is redirected to suppress viser's banner
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
@@ -82,7 +85,8 @@ class Panel(Unique):
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        _hear_only(self.server.gui._websock_interface, ())  # only a visitor's page accepts messages
+        # The controls shared by all visitors accept no messages; those of a single visitor's page do.
+        _hear_only(self.server.gui._websock_interface, ())
         self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")

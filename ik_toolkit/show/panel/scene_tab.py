@@ -13,11 +13,12 @@ from .viser_scene import Stage
 BOX = (148, 103, 60)
 SIDE = 0.15  # Edge of a new box, as a fraction of the robot's size.
 CLEAR = 0.05  # Distance of a new box from the arm, as a fraction of the robot's size.
-NEAR = 0.25  # Distances below this fraction of the robot's size are drawn.
+# The line between the nearest pair of shapes is drawn if it is shorter than this fraction of the robot's size.
+NEAR = 0.25
 
 
 class Around:
-    """The controls of boxes, contacts and velocity ellipsoids around a robot, and what is drawn for them."""
+    """The panel's controls for obstacle boxes, contacts and velocity ellipsoids, and the drawings that belong to them."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls on a visitor's page, and draw the session's boxes."""
@@ -88,13 +89,14 @@ class Around:
         return note_html(words, color)
 
 
-STEP = 0.02  # [rad or arm reaches] step between corrections; a tip's error grows with its square
-THIN = 1e-6  # directions below this fraction of the largest singular value do not move the tips
-LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
+# [rad or arm reaches] step along a self-motion before the tips are corrected; their error grows with the step's square
+STEP = 0.02
+THIN = 1e-6  # a joint motion does not move the tips if its singular value is below this fraction of the largest
+LEFT = 1e-7  # [m, rad] a tip counts as staying in place if it moves by less than this
 
 
 def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Return the null-space directions (k, n) at q (n,), which move no tip; `turns`: whether the tips' rotations are fixed, too."""
+    """Return a basis (k, n) of the joint motions at q (n,) that move no tip and, if `turns`, do not turn the tips either."""
     J = robot.jacobian(q).reshape(-1, 6, robot.n)[:, : 6 if turns else 3].reshape(-1, robot.n)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
     return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]
@@ -103,8 +105,8 @@ def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
 def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool, limits: bool) -> np.ndarray:
     """Move q (n,) by `far` [rad or arm reaches] along the self-motion nearest to direction `along`, or up to a limit.
 
-    Each step continues in the direction that the null space shares with the previous step, so that moving back is
-    reversible. A solver then takes the tips back to where they were.
+    Each step goes in the direction of the null space that is nearest to that of the step before, so that moving back leads to the
+    same place. After each step a solver corrects the tips.
     """
     poses = dict(zip(robot.tips, robot.tip_poses(q), strict=True))
     hold = robot.for_tips({tip: T.homogeneous if turns else T.translation for tip, T in poses.items()})

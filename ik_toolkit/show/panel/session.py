@@ -28,10 +28,11 @@ from .drag_follower import Followed, Hand, prepare
 
 # the forms in which the orientation of a target can be typed
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
-NONE = "no target"  # choice for one of several tips that has no target
-SHOWN = 16  # largest number of solutions listed
-SAMPLES = 8  # number of random configurations for the rank of each tip's Jacobian; hardly ever are all of them singular
-PATIENCE = 20  # [s of robot time] for which an arm may move towards a target that is no longer dragged
+NONE = "no target"  # entry in the list of target forms for a tip (one of several) that shall have no target
+SHOWN = 16  # largest number of solutions that the panel lists
+# The rank of a tip's Jacobian is taken as the largest at SAMPLES random configurations, which are hardly ever all singular.
+SAMPLES = 8
+PATIENCE = 20  # [s of robot time] how long an arm may go on moving towards a target after a drag or a failed solve
 
 
 class Session:
@@ -49,7 +50,8 @@ class Session:
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
         self.limits, self.avoid = True, False  # whether joint limits are kept, and whether collisions are avoided
-        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # size [m] and pose (4, 4) in the base, by name
+        # the obstacle boxes by name: size [m], and pose (4, 4) in the base frame
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}
         self.source = ""
         self.random = np.random.default_rng(0)
         self.warm: set[tuple] = set()  # solvers and kinds of target whose code is already compiled
@@ -86,7 +88,8 @@ class Session:
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
         self.branches: np.ndarray | None = None
-        self.recorded: list[np.ndarray] = []  # configurations (n,) of the motion being recorded
+        # configurations (n,) that the visitor has recorded so far, to be saved as a motion
+        self.recorded: list[np.ndarray] = []
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -98,12 +101,12 @@ class Session:
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
     def digits(self, i: int) -> int:
-        """Return the displayed decimals of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
+        """Return the number of decimals with which joint i is displayed: 2 for degrees (0.01 deg), 4 for m and rad."""
         return 2 if self.unit(i) == "deg" else 4
 
     @property
     def kind(self) -> str:
-        """Initial kind of targets: poses for an arm that can reach poses in general, otherwise positions."""
+        """How targets are typed at first: as poses for arms of six or more joints, otherwise as positions."""
         return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
 
     def range(self, i: int) -> tuple[float, float]:
@@ -115,7 +118,7 @@ class Session:
         return round(low, 9), round(high, 9)
 
     def ends(self, i: int) -> tuple[float, float]:
-        """Return the slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
+        """Return the range of joint i's slider [rad or m]: its limits, or without limits a turn (prismatic: a reach either way)."""
         span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
         low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
         if not self.limits:
@@ -126,9 +129,10 @@ class Session:
     def read_joints(
         self, fields: Sequence[float], shown: list[float], scale: Callable[[int], float], limits: bool
     ) -> np.ndarray:
-        """Return q (n,) from typed values, which are q times the scale of each joint.
+        """Return q (n,) [rad or m] for numbers typed or set by sliders, which are in the displayed unit of each joint.
 
-        A number that is still the rounded one that was shown keeps its full precision. Raises InvalidConfiguration.
+        A number that still equals the rounded one on display means that this joint was not changed, so it keeps its full
+        precision. Raises InvalidConfiguration.
         """
         values = np.array(fields, dtype=float) / [scale(i) for i in range(self.robot.n)]
         q = np.where(np.array(fields) != shown, values, self.q)
@@ -146,7 +150,7 @@ class Session:
         return self.poses(self.robot.random_q(self.random))
 
     def goals(self) -> dict[str, np.ndarray]:
-        """Return the pose (4, 4) of each tip's target; a tip without one has its own pose, a position has the tip's rotation."""
+        """Return where each tip's target is drawn (4, 4): at the tip if it has none; a position gets the tip's rotation."""
         poses = self.poses()
         for tip, target in (self.robot.each_tip(self.target) or {}).items():
             if target is not None:
@@ -214,7 +218,8 @@ class Session:
         """Solve from q with history and move to the result, or to the closest pose. Raises what `ik.solve` raises."""
         self.target, self.followed, rule = _copy(target), None, self.rule()
         how = self.solver, *(T.ndim for T in self.robot.each_tip(self.target).values())
-        for _ in range(1 if how in self.warm else 2):  # The first call loads or compiles and would distort the time.
+        # A first call, which loads or compiles code, is repeated, so that the time shown is that of a solve.
+        for _ in range(1 if how in self.warm else 2):
             result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
         self.warm.add(how)
         if np.isfinite(result.q).all():
@@ -226,16 +231,17 @@ class Session:
 
     def _approach(self) -> None:
         """Continue from a failed attempt to the closest pose near it."""
-        # This raises an error if the target is too far away or the arm is already in contact.
+        # A target that is too far away, or an arm that is in contact already, raises an error; then the arm stays where it is.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
-            # The arm keeps its posture, because the solver has found no other one that reaches the target.
+            # The arm must not change to another posture (reconfigure=False), because the solver has found none that reaches the
+            # target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:
                     return
 
     def follow(self, target: Any) -> Followed:
-        """Step towards a dragged target, as far as the arm gets in one second. Raises what `Tracker` raises."""
+        """Move the arm towards a dragged target for up to a second of motion; return its state. Raises what `Tracker` raises."""
         if not len(target):
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
@@ -249,11 +255,14 @@ class Session:
         return self.followed
 
     def prepare(self) -> None:
-        """Load or compile what `follow` needs, without moving."""
+        """Load or compile the code that `follow` runs, so that the first drag need not wait; the arm does not move."""
         prepare(self.robot, self.q, self.robot.for_tips(self.poses()))
 
     def solve_all(self, target: Any) -> tuple[str, str]:
-        """Find solutions (at most 16 are kept); return their number in words, and details. Raises what `ik.solve_all` does."""
+        """Find all solutions for a target and keep up to 16 in the session; return two texts: their number, and details.
+
+        Raises what `ik.solve_all` does.
+        """
         self.target = _copy(target)
         found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
@@ -267,7 +276,7 @@ class Session:
     # --------------------------------------------------------------------------------------------------- surroundings
     @property
     def world(self) -> CollisionModel:
-        """The robot's shapes and the boxes. Raises what CollisionModel raises."""
+        """The CollisionModel of the robot's shapes and the obstacle boxes. Raises what CollisionModel raises."""
         if self._world is None:
             self._world = CollisionModel(self.robot)
             for name, (size, T) in self.boxes.items():
@@ -316,7 +325,7 @@ class Session:
 
     # ------------------------------------------------------------------------------------------------------- display
     def figures(self) -> list[tuple[str, str]]:
-        """Return rows (name, value) about the last solve, or the current state of a drag."""
+        """Return a table of texts (name, value) about the last solve or, while a target is dragged, about the errors left."""
         r, followed = self.result, self.followed
         if r is None:
             return self._tip_errors(followed.errors) if followed is not None else []

@@ -12,7 +12,7 @@ from .viser_scene import Handle
 
 
 class Goal:
-    """The target of one tip, typed or dragged; `kind` is one of KINDS, or NONE if the tip has no target."""
+    """The fields in which the target of one tip is typed; `kind` is the form of its orientation (KINDS), or NONE for no target."""
 
     def __init__(self, desk: Any, tip: str, kind: str, handle: Handle) -> None:
         """Build the controls on a visitor's page; handle: the target's arrows and rings in the 3-D view."""
@@ -24,7 +24,8 @@ class Goal:
         kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
         desk._ask(gui.add_dropdown("Orientation", kinds, initial_value=kind), f"kind {tip}", self.give)
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
-        # Texts last written. Until the user edits them the handle's target is used, which has more digits.
+        # The texts that this program wrote last. As long as the user has not edited them, the target of the dragged handle is used,
+        # which has more digits.
         self.written = xyz, rotation
         handle.turns(self.posed, kind != NONE)
 
@@ -34,7 +35,7 @@ class Goal:
         return self.kind not in ("free", NONE)
 
     def give(self, kind: str) -> None:
-        """Change how the orientation is typed: `kind` is one of KINDS ('matrix', 'free', ...), or NONE for no target."""
+        """Set the form in which the orientation is typed: `kind` is one of KINDS ('matrix', 'free', ...), or NONE for no target."""
         self.kind = kind
         self.xyz.visible, self.rotation.visible = self._placed, self.posed
         self.rotation.multiline = kind == "matrix"
@@ -53,7 +54,7 @@ class Goal:
         return names.get(self.kind, f"r p y [{'deg' if self.session.degrees else 'rad'}]")
 
     def typed(self) -> np.ndarray | None:
-        """Read the target from the fields and move the arrows there; return None without a target.
+        """Read the target from the fields and move its arrows in the view there; return the target, or None if there is none.
 
         Raises InvalidTarget.
         """
@@ -89,8 +90,10 @@ class Goal:
 GO = "Go to this solution"
 SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
 CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
-STAY = "position:sticky;left:0;background:#fff;text-align:left;font-weight:400"  # names of joints stay visible while columns scroll
-# JavaScript: pointing at a column of the table enters its number into the field below; a click also presses the button.
+# CSS that keeps the column of joint names in view while the others scroll
+STAY = "position:sticky;left:0;background:#fff;text-align:left;font-weight:400"
+# JavaScript of the table of solutions: pointing at a column enters its number into the field below, and a click also presses the
+# button, which moves the robot there.
 POINT = (
     "const e=document.getElementById('{field}'),k=event.target.cellIndex;if(k&&e.value!==String(k)){{"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,String(k));"
@@ -118,7 +121,7 @@ class SolutionsTab:
         return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
 
     def point(self) -> None:
-        """Show the chosen solution as a translucent robot."""
+        """Show the chosen solution in the view as a second, translucent robot."""
         if self.folder.visible:
             self.ghost(self.session.solutions[self.chosen])
 
@@ -155,7 +158,7 @@ class SolutionsTab:
         )
 
 
-CURVES: Any = (  # columns of the chart: abscissa, then errors
+CURVES: Any = (  # the series of the chart: iteration (abscissa), then the errors
     {"label": "iteration"},
     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
@@ -172,7 +175,7 @@ class Chart:
         self.plot = client.gui.add_uplot(empty, CURVES[:2], scales={"x": {"time": False}}, visible=False, **look)
 
     def hide(self) -> None:
-        """Hide the chart while the robot is moved by something other than a solve."""
+        """Hide the chart, because the robot was moved by something other than a solve."""
         self.plot.visible = False
 
     def show(self, result: Any) -> None:
@@ -181,7 +184,8 @@ class Chart:
         if len(position) < 2:
             self.hide()
             return
-        known = [position, angle] if np.isfinite(angle).all() else [position]  # without angles for a position
+        # The target of a position has no orientation error, so only one curve is drawn.
+        known = [position, angle] if np.isfinite(angle).all() else [position]
         curves = [np.log10(np.maximum(values, FLOOR)) for values in known]
         with self.client.atomic():
             self.plot.series = CURVES[: 1 + len(curves)]

@@ -21,13 +21,13 @@ def as_sentence(text: str) -> str:
 
 
 def note_html(text: str, color: str = "inherit") -> str:
-    """Write a sentence in small print, or nothing if it is empty."""
+    """Return HTML of a sentence in small print, or '' if the sentence is empty."""
     style = f"padding:2px 12px;margin:0;font-size:12px;color:{color}"
     return f'<p style="{style}">{html.escape(as_sentence(text))}</p>' if text else ""
 
 
 def table_html(rows: Any, head: Any = None) -> str:
-    """Write rows of texts as an HTML table."""
+    """Return an HTML table of rows of texts."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
     body = table_rows(rows, cell, muted)
@@ -35,7 +35,7 @@ def table_html(rows: Any, head: Any = None) -> str:
 
 
 def table_rows(rows: Any, cell: str, lead: str) -> str:
-    """Write rows of texts as rows of an HTML table; cell: CSS of all cells, lead: more CSS of those in the first column."""
+    """Return rows of texts as rows of an HTML table; cell: CSS of all cells, lead: more CSS for the first column."""
     cells = (
         [f'<td style="{cell}{"" if k else f";{lead}"}">{html.escape(x)}</td>' for k, x in enumerate(row)]
         for row in rows
@@ -68,7 +68,10 @@ class Recorder:
         self.say("the record is empty")
 
     def files(self) -> tuple[str, dict[str, bytes]]:
-        """Return a sentence on the motion, and its files by name: CSV, and JSON with a ROS trajectory. Raises InvalidOption."""
+        """Return a sentence on the recorded motion, and the contents of its files by name: CSV, and JSON with a ROS trajectory.
+
+        Raises InvalidOption.
+        """
         s = self.session
         if len(s.recorded) < 2:
             raise InvalidOption("record two postures or more, then save the motion through them")
@@ -94,7 +97,7 @@ class Recorder:
 
 
 def pose_html(T: np.ndarray, s: Session, tip: str) -> str:
-    """Write the pose of a tip as matrix, xyz, rpy and quaternion."""
+    """Return HTML with the pose of a tip as matrix, xyz, rpy and quaternion."""
     matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 5)]
     lines = [
         ("xyz [m]", s.words(T, "free")[0]),

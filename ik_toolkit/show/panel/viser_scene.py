@@ -44,7 +44,7 @@ PICTURE = Picture()
 
 
 class Handle:
-    """Arrows and rings of one tip's target; `target` is the pose T_base_target (4, 4) [m]."""
+    """The arrows, rings and ball by which a visitor drags one tip's target in the view; target: T_base_target (4, 4) [m]."""
 
     def __init__(self, stage: "Stage", k: int, name: str, T: np.ndarray, dragged: Callable[[], None]) -> None:
         """Draw arrows and rings at T (4, 4); `dragged` is called when the visitor moves them."""
@@ -71,17 +71,20 @@ class Handle:
 
     def _moved(self, event: Any, dragged: Callable[[], None]) -> None:
         dragged()
-        if getattr(event, "phase", "") == "end":  # older releases of viser have no phases
+        # at the end of a drag; events of older releases of viser have no phases
+        if getattr(event, "phase", "") == "end":
             self.stage.keep_in_view()
 
     def _carried(self, dragged: Callable[[], None]) -> Callable[[Any], Any]:
         """Return a handler of drag events of the ball, which moves the target in the plane of the picture."""
         offset = np.zeros(3)
 
-        async def carry(event: Any) -> None:  # a coroutine, because viser keeps the order of events only for coroutines
+        async def carry(event: Any) -> None:  # async, because viser keeps the order of events only for coroutines
             nonlocal offset
-            with np.errstate(over="ignore", invalid="ignore"):  # a page may send any numbers
-                if event.phase == "start":  # the ball may be grabbed at its rim
+            # A page may send any numbers, which must not cause warnings.
+            with np.errstate(over="ignore", invalid="ignore"):
+                # The visitor may grab the ball at its rim, so the offset from its centre is kept.
+                if event.phase == "start":
                     offset = self.gizmo.position - np.array(event.start_position)
                 place = np.array(event.end_position) + offset
                 if np.isfinite(place).all():
@@ -96,7 +99,7 @@ class Handle:
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Show the rings of the handle if `rotations`, and the handle at all if `visible`."""
+        """Show or hide the handle (`visible`), and its rings, by which the target is turned (`rotations`)."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible
@@ -119,10 +122,11 @@ class Stage:
 
         `before`: the drawing that this one replaces, or None.
         """
-        # The page places a new object where an earlier one of the same name was, so each Stage uses other names.
+        # viser puts a new object at the pose of an earlier one of the same name, so the names of each Stage contain a number of its
+        # own.
         self.number = before.number + 1 if before else 0
         self.widest = before.widest if before else 0  # largest width [pixels] of the picture so far
-        self.away = False  # whether the camera has moved away to see a target
+        self.away = False  # whether the camera was moved back to see a target outside the picture
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene = client.scene
@@ -183,13 +187,13 @@ class Stage:
             _place(handle, T, bar=part.end is not None)
 
     def gaps(self, shown: bool) -> None:
-        """Draw a line from each tip to its target, to show what is missing, or remove the lines."""
+        """Draw a line from each tip to its target, to show how far it is missed; or remove these lines (shown=False)."""
         pairs = [(tip, handle.gizmo) for tip, handle in zip(self.tips, self.handles, strict=True)]
         ends = [(tip.position, gizmo.position) for tip, gizmo in pairs if shown and gizmo.visible]
         self.line("gap", ends, RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
-        """Also show the robot at q (n,), translucent, without parts that coincide with the robot's; None removes it."""
+        """Show a second, translucent robot at q (n,), without the parts that coincide with the first robot's; None removes it."""
         self.ghosted = q
         if q is None:
             for handle in self.shade:
@@ -236,7 +240,7 @@ class Stage:
                     yield pin.SE3(np.eye(3), base[:3, :3].T @ (place - base[:3, 3])).homogeneous
 
     def dragged(self, gizmo: Any) -> np.ndarray:
-        """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
+        """Return the pose (4, 4) in the base frame of a viser handle that was dragged. Raises InvalidTarget."""
         (w, x, y, z), place = gizmo.wxyz, gizmo.position
         if not np.isfinite([w, x, y, z, *place]).all() or not np.any(gizmo.wxyz):
             raise InvalidTarget("the dragged target is not a valid pose")
@@ -263,16 +267,17 @@ class Stage:
         _place(ball, pin.SE3(R, np.array(self.tips[k].position)).homogeneous)
 
     def aim(self, q: np.ndarray) -> None:
-        """Look at the robot at q from the front right."""
+        """Aim the camera at the robot at q (n,) from the front right, so that it fills the picture."""
         camera = self.client.camera
-        # [pixels] the picture is as wide as the page until the controls are docked beside it
+        # [pixels] The largest width seen is that of the page: at first the picture is as wide, until the controls are docked beside
+        # it.
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.fov = PICTURE.lens
         self._look(camera, self.extent, PICTURE.view)
 
-    @np.errstate(all="ignore")  # a page may send any numbers for camera and targets
+    @np.errstate(all="ignore")  # A page may send any numbers for camera and targets, which must not cause warnings.
     def keep_in_view(self) -> None:
         """Move the camera back along its viewing direction until all targets are in view, and later forward again."""
         camera = self.client.camera
@@ -301,7 +306,7 @@ class Stage:
 
 
 def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a camera must be, and the point (3,) [m] it must look at, to see a box (2, 3) as large as fits.
+    """Return the position of a camera, and the point it looks at (3,) [m], so that a box (2, 3) [m] fills the picture.
 
     `view` (3,) is the direction in which it looks, not straight up or down; `aspect` is width over height of the
     picture; `free` is the share of its height, from the top, in which the box is to be seen.

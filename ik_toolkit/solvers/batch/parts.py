@@ -23,14 +23,15 @@ from ..task import counts_in_part
 from .result import Failures
 from .targets import mended
 
-# Number of parts that wait for each thread, or in total for an executor. An iterator of targets is read no further than that.
+# A batch is solved in parts. At most AHEAD parts wait for each thread, or REMOTE_AHEAD in all for an executor. An iterator of
+# targets is read no further ahead.
 AHEAD, REMOTE_AHEAD = 4, 64
-SLICE = 0.05  # [s] a thread checks this often whether to stop
+SLICE = 0.05  # [s] how long a thread works before it checks whether to stop
 
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Return the compiled solver for eight targets side by side (kernel.simd_search), or None if method or options forbid it.
+    """Return the compiled function that solves eight targets at once (SIMD), or None if the solver or an option does not allow it.
 
     kinds: the kind of target of each tip.
     """
@@ -42,7 +43,7 @@ def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
 
 
 class Part(NamedTuple):
-    """Targets T (m, 4, 4) or (m, F, 4, 4) that are solved together, with their starts (1 or m, n).
+    """A part of a batch that one thread or worker solves: targets T (m, 4, 4) or (m, F, 4, 4), and their starts (1 or m, n).
 
     kinds: kind of target of each tip; given: whether the caller gave the starts; first: index in the batch of the first target.
     """
@@ -64,7 +65,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
 
     side_by_side: the compiled solver for eight targets at once, or None.
     """
-    # with a joint held at its start (weight 0), each target has a table of starts of its own
+    # A joint with weight 0 keeps its value at the start, so the targets cannot share one table of restarts.
     if len(plan.held) and len(part.start) > 1:
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
@@ -157,7 +158,7 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, parts: Iterator[Part], share: float, threads: int) -> Tables:
-    """Yield the result rows and failures of each part, in order, solved on threads of this process.
+    """Solve the parts of a batch on threads of this process; yield result rows and failures of each part, in order.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """
@@ -171,13 +172,13 @@ def on_threads(plan: Plan, parts: Iterator[Part], share: float, threads: int) ->
 
 
 def check_executor(executor: Any) -> None:
-    """Raise InvalidOption unless it is None or has a method `submit` like the executors of concurrent.futures."""
+    """Raise InvalidOption unless `executor` is None or has a method `submit`, like the executors of concurrent.futures."""
     if executor is not None and (not hasattr(executor, "submit") or isinstance(executor, type)):
         raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
 
 
 def on_executor(plan: Plan, parts: Iterator[Part], share: float, executor: Executor) -> Tables:
-    """Yield the result rows and failures of each part, in order, solved by the workers of an executor.
+    """Solve the parts of a batch on the workers of an executor; yield result rows and failures of each part, in order.
 
     share: fraction of the batch that Pinocchio checks, 0 to 1.
     """

@@ -44,7 +44,7 @@ class BatchCheckFailed(IKError):
 
 
 class Failures(NamedTuple):
-    """Targets and starts of the rows of a batch that failed, from which their messages are made; solved rows keep nothing.
+    """The targets and starts of those rows of a batch that failed, kept because error messages need them.
 
     rows (m,): their indices in the batch, ascending; T (m, 4, 4) or (m, F, 4, 4): their targets; q0 (m, n): their starts, (0, n) if
     none were given.
@@ -55,7 +55,7 @@ class Failures(NamedTuple):
     q0: np.ndarray
 
     def asked(self, k: int) -> tuple[bytes, bytes]:
-        """Return the target and start of row k as bytes, as a SolveRecord keeps them; b"" if the row is not a failure."""
+        """Return the target and start of row k as bytes (the form in a SolveRecord), or b"" if the row is solved."""
         at = int(np.searchsorted(self.rows, k))
         if at == len(self.rows) or self.rows[at] != k:
             return b"", b""
@@ -113,7 +113,7 @@ class BatchResult(ReadOnly):
         touching = None
         if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
-            # No pair is found if the obstacle that collided has been moved away since.
+            # The pair in contact is looked for now. There is none if the obstacle has been moved away since the batch was solved.
             touching = next(iter(model.collisions(self.q[k])), None)
         k = range(len(self.table))[k]  # Negative numbers count from the end.
         target, q0 = self.failures.asked(k) if self.failures is not None else (b"", b"")

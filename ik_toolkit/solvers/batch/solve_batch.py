@@ -26,7 +26,7 @@ from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_fail
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # largest number of targets given to a thread at a time, and to a worker of an executor
-LEAST_PART = 128  # least number of targets in a part when a smaller batch is divided between threads
+LEAST_PART = 128  # A small batch is divided between threads into parts of at least this many targets.
 
 
 def solve_parts(
@@ -41,7 +41,7 @@ def solve_parts(
     finish: bool = True,
     **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
-    """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
+    """Solve a batch and yield the BatchResults of its parts in order, for more targets than fit in memory.
 
     With `finish`, the q of a failure is moved to the configuration closest to its target, which takes longer than a few attempts,
     and LIMIT_BLOCKED is tested. Without `finish`, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a
@@ -80,7 +80,7 @@ def _begin(
     targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
-    # This raises InvalidTarget for targets that cannot be read, so they can be counted next.
+    # `known` raises InvalidTarget for targets that cannot be read, so from here on they can be counted.
     first = next(chunks, None)
     total = None if given is None else _length(given)
     starts, notice = _read_starts(robot, q0, total)
@@ -91,7 +91,7 @@ def _begin(
     if starts is not None:
         starts, clamped = plan.check_starts(starts)
         notice = "; ".join(filter(None, (notice, clamped)))
-    # This raises InvalidOption if the solver cannot do the task, before any target is solved.
+    # called only to raise InvalidOption, before any target is solved, if the solver cannot do the task
     plan.orders(kinds, starts is not None)
     if not finish:
         plan = plan.stripped()
@@ -147,7 +147,8 @@ def _parts(plan: Plan, chunks: Iterator[Block], starts: np.ndarray | None, size:
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
-            # Parts are copies, because the caller's buffer may be refilled while the parts wait to be solved.
+            # The arrays of an iterator are copied, because the caller may refill the same array while earlier targets wait to be
+            # solved.
             T = chunk.poses(a, a + size)
             doubt_far(plan.robot, T)
             start = plan.home if starts is None else starts
@@ -213,7 +214,7 @@ def solve_batch(
     try:
         for part in _wrapped(tables, kinds, plan, notice):
             end = done + len(part)
-            if end > len(table):  # The table grows in place, without a second copy.
+            if end > len(table):  # The array is enlarged in place, so that memory never holds it twice.
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, plan.width), refcheck=False)
             table[done:end] = part.table
@@ -226,7 +227,8 @@ def solve_batch(
             raise
         made = BatchResult(table[:done], kinds, plan, joined_failures(lost), notice)
         raise BatchInterrupted(made, f"after {how_many(done, 'target')}") from None
-    # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
+    # After a failed check by Pinocchio, the result keeps the rows up to the one that failed. All later rows are emptied, so that
+    # the result does not depend on how many of them had been solved by then.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
         table.resize((total if total is not None else done + len(part), plan.width), refcheck=False)

@@ -13,15 +13,16 @@ from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): KIND.pose, (3,): KIND.position}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-# A rotation whose axes deviate from orthonormal by this much, up to `RIGID.axes`, is replaced by the nearest exact one.
+# A rotation matrix whose axes deviate from orthonormal by more than ROUGH, but at most `RIGID.axes`, is replaced by the nearest
+# exact one.
 ROUGH = 1e-12
 
 
 class Block(NamedTuple):
-    """N targets: for each tip poses (N, 4, 4), positions (N, 3), or None if the tip has no target."""
+    """N targets of a batch: for each tip an array of poses (N, 4, 4) or positions (N, 3), or None if the tip has no target."""
 
     parts: tuple[np.ndarray | None, ...]
-    pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the compiled search takes them
+    pose_shape: tuple[int, ...]  # shape of one target as the compiled search takes it: (4, 4), or (F, 4, 4) for F tips
 
     @property
     def kinds(self) -> tuple:
@@ -34,7 +35,7 @@ class Block(NamedTuple):
         return next(len(part) for part in self.parts if part is not None)
 
     def poses(self, a: int, b: int) -> np.ndarray:
-        """Return copies of targets a to b as the compiled search takes them: (m, 4, 4), or of several tips (m, F, 4, 4).
+        """Return targets a to b (excluded) as an array of poses for the compiled search: (m, 4, 4), for several tips (m, F, 4, 4).
 
         Rotations that are orthonormal only to 1e-6 are replaced by the nearest exact ones; worse ones, and NaN, are rejected by the
         search.
@@ -71,7 +72,7 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
-    # numpy.array makes an array of objects of a list of AxisTargets
+    # a list of AxisTargets that was turned into a numpy array has the type object
     if isinstance(targets, np.ndarray) and targets.dtype == object and targets.ndim == 1:
         targets = targets.tolist()
     if isinstance(targets, list | tuple) and targets and all(map(is_by_name, targets)):
@@ -127,11 +128,12 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 
 def known(targets: Any, base: str = "") -> Any:
-    """Return targets in any form, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator.
+    """Convert targets in any form that `solve_batch` takes to one array, or for several tips a dict of arrays by tip.
 
-    Raises InvalidTarget for anything else.
+    They are given in the frame `base`. Returns None for an iterator, whose targets are read later. Raises InvalidTarget for what
+    is no target.
     """
-    if isinstance(targets, str | bytes | set | frozenset):  # a set has no order
+    if isinstance(targets, str | bytes | set | frozenset):  # a set of targets is refused, because it has no order
         raise InvalidTarget(f"targets must be {STACKED}, not {targets!r:.60}")
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
@@ -189,7 +191,7 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Yield chunks of targets as Blocks; their numbers are checked later, by the compiled search.
+    """Yield the targets of a batch in chunks (Block), with checked shapes; the compiled search later checks the numbers.
 
     Raises InvalidTarget for a wrong shape, and for a chunk whose kinds differ from those of the first.
     """
@@ -209,7 +211,10 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
 
 
 def doubt_far(robot: Any, T: np.ndarray, what: str = "targets") -> None:
-    """Warn, once for each tip, if targets T (m, 4, 4) or (m, F, 4, 4) are so far out of reach that they may be in millimetres."""
+    """Warn if targets T (m, 4, 4) or (m, F, 4, 4) [m] are so far out of reach that they are probably in millimetres.
+
+    There is one warning for each tip.
+    """
     for f, tip in enumerate(robot.tips):
         away = np.abs(T.reshape(len(T), -1, 4, 4)[:, f, :3, 3])
         doubt_lengths(f"{what} of {tip} on {robot.name}", float(np.nanmax(away, initial=0.0)), robot.reach)
@@ -252,7 +257,7 @@ def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Return a target T (4, 4) or (F, 4, 4) that the compiled search rejected, with its rotations made exact.
+    """Make the rotations of a target T (4, 4) or (F, 4, 4) exact, after the compiled search has rejected it; return the target.
 
     Raises InvalidTarget, which names the target (its `number` in the batch) and the tip, if a pose cannot be corrected.
     """

@@ -11,9 +11,11 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, into_limits, no_fit, read_revolute
 
 N = 6
-# Highest number of Newton steps that improve a solution of EAIK, or of the elimination, on the robot's own chain; one is usual.
+# Largest number of Newton steps that correct a solution of EAIK, or of the elimination, with the robot's own kinematics. One is
+# usually enough.
 STEPS = 12
-# Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation matrix.
+# Where the parts of the arm's parameters (48,) begin and end. They describe the arm at q = 0: joint axes (6, 3), vectors from one
+# axis to the next (7, 3), rotation matrix of the tip.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
@@ -57,9 +59,9 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 class EAIK(NamedTuple):
     """Analytic solutions by the package EAIK for six revolute joints, for poses; returns the one in limits nearest q0.
 
-    Needs the extra 'analytic'. The axes are read off the robot at q = 0; joint limits, shifts by 2 pi and the choice of a solution
-    are ours, and every answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for
-    analytical inverse kinematics".
+    Needs the extra 'analytic'. The axes are read off the robot at q = 0; this class adds joint limits, shifts by 2 pi and the
+    choice of a solution, and computes the errors of every answer itself. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic
+    geometric decomposition for analytical inverse kinematics".
     """
 
     recognise = staticmethod(recognise_six_axes)

@@ -25,16 +25,17 @@ from .eaik import STEPS, N
 from .geometry import Branches, Family, Fit, into_limits, no_fit, read_revolute
 from .polish import list_with
 
-# Least size of an arm, as a share of its reach: how far its axes are from meeting in one point. Below it the rounding of a pose is
-# magnified too much.
+# Smallest size, as a share of the reach, of an arm that the elimination accepts; size says how far the axes are from meeting in one
+# point. In a smaller arm the rounding of a pose is magnified too much.
 LEAST_SIZE = 1e-4
 
 
 class Certificate(NamedTuple):
-    """How complete a list of solutions is, judged by a polynomial whose roots include all of them, or by a decomposition.
+    """Evidence of how complete a list of solutions of a six-joint arm is: whether there may be others that are not in it.
 
-    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and not a proof by interval
-    arithmetic. The same holds for a decomposition, whose errors are estimated.
+    Every solution belongs to a root of one polynomial or, if the arm was decomposed into geometric subproblems, to one of their
+    branches. The accuracy of the polynomial is measured, not bounded, and that of a decomposition estimated, so a certificate is
+    numerical evidence and not a proof by interval arithmetic.
     """
 
     status: str  # 'CERTAIN', 'DOUBLE' (solutions merge at a singular pose), 'FAMILY' (there is a continuum) or 'UNSURE'
@@ -43,8 +44,10 @@ class Certificate(NamedTuple):
     # Number of roots that are proven complex and so are no solutions; if the status is CERTAIN, each other root is one solution.
     # For a decomposition: number of branches that do not exist or have merged with others.
     complex: int
-    radius: float  # radius of the largest error disc around a real root exp(i q3) of the polynomial, on the unit circle
-    noise: float  # measured relative error of the polynomial's coefficients, or error of a decomposition's numbers
+    # radius of the largest disc of uncertainty around a real root of the polynomial in exp(i q3); the unit circle has radius 1
+    radius: float
+    # measured relative error of the polynomial's coefficients, or estimated error of the numbers of a decomposition
+    noise: float
     decomposed: bool = False  # whether the arm was decomposed into geometric subproblems; there are no error discs then
 
     def to_dict(self) -> dict[str, Any]:
@@ -72,7 +75,7 @@ class Certificate(NamedTuple):
 
 
 def recognise_six_revolute(chain: Chain) -> Fit:
-    """Return whether a chain has six revolute joints, each moved by its own coordinate, and the array (52,) of their axes."""
+    """Return a Fit: whether a chain is six revolute joints, each moved by its own coordinate, and the array (52,) of their axes."""
     screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -84,9 +87,10 @@ def recognise_six_revolute(chain: Chain) -> Fit:
 
 @functools.lru_cache(64)
 def forms_of(arm: bytes) -> np.ndarray:
-    """Return the orderings of the closed loop of joints that suit an arm, best first, as `make_forms` does; the result is cached.
+    """Return the ways in which the elimination can solve an arm, best first; the result is cached.
 
-    arm: its array (52,) from `make_arm`, as bytes.
+    Each is an ordering of the closed loop that the six joints and the target form (see `make_forms`). arm: its array (52,) from
+    `make_arm`, as bytes.
     """
     return make_forms(np.frombuffer(arm).copy())  # a copy, because for a read-only array numba would compile again
 
@@ -101,15 +105,16 @@ def certificate_of(answer: list[float]) -> Certificate:
 class EliminationAnswer(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
-    q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
-    # (K,) gain 1 / |J^-1| with lengths over the size of the arm: a configuration whose pose is off by e is at most about e / gain
-    # away from a solution
+    q: np.ndarray  # (K, 6) the solutions [rad], every angle in [-pi, pi)
+    # (K,) gain 1 / |J^-1| of each solution, J the Jacobian with lengths divided by the arm's size: a configuration near it whose
+    # pose is off by e is at most about e / gain away from it
     gain: np.ndarray
     certificate: Certificate
-    # (M, 6) other configurations near which a pose may be within a tolerance; None if they are not known
+    # (M, 6) [rad] configurations that do not reach the pose, but near which it may be missed by less than the tolerances; None if
+    # they are not known
     near: np.ndarray | None
-    # (K, 2) for status FAMILY: the position (from 1 on) in the loop of an angle that is free, or 0 if there is none; and by how
-    # much it may turn either way [rad]
+    # (K, 2) for status FAMILY, the joint angle that is free at each solution: its position in the loop of joints, counted from 1
+    # (0: no angle is free), and by how much it may turn either way [rad]
     free: np.ndarray
 
 
@@ -151,7 +156,8 @@ def list_certain(rows, ends, opt, T, found, box, most, table, notes):
     """
     at, n = 0, box.shape[1]
     p = make_serial(rows, ends, opt[SIZE.orders :], n, read(Orders, opt))
-    none = np.zeros((2, found.shape[1], 3), dtype=np.int8)  # the elimination gives no signs of shoulder, elbow, wrist
+    # `list_with` also lists signs of shoulder, elbow and wrist, which the elimination does not have
+    none = np.zeros((2, found.shape[1], 3), dtype=np.int8)
     work, broken = np.empty((2, n)), np.empty(found.shape[1])
     q, excess = np.empty((found.shape[1], n)), np.empty((found.shape[1], n))
     for t in range(T.shape[0]):
@@ -172,9 +178,10 @@ def list_certain(rows, ends, opt, T, found, box, most, table, notes):
 
 # ------------------------------------------------------------------------------------- self-motions of a decomposed arm
 def moving_places(split: Split, place: int) -> tuple[int, ...]:
-    """Return the positions, in the closed loop of joints, of those joints that move in a self-motion of a decomposed arm.
+    """Return which joints move in a self-motion of an arm that is solved by geometric subproblems, as positions in the joint loop.
 
-    split: how the arm is decomposed; place: position of the angle that is free, which comes first in the result.
+    split: how the arm is decomposed; place: position in the closed loop of joints of the angle that is free, which comes first in
+    the result.
     """
     if split.parallel:
         return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
@@ -184,11 +191,11 @@ def moving_places(split: Split, place: int) -> tuple[int, ...]:
 def families_of(
     robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
 ) -> list[tuple[Family, np.ndarray]]:
-    """Return the self-motions through q (6,): pairs of a Family and its member whose leading joint is nearest the reference.
+    """Return the self-motions of a six-joint arm through q (6,): for each its Family, and one configuration (6,) on it.
 
-    arm (52,), form: arrays of the arm and of its decomposition; free (2,): the position (from 1 on) in the loop of joints of the
-    angle that is free, and by how much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits, reference
-    [rad].
+    The configuration is the one whose leading joint is nearest the reference. arm (52,), form: arrays of the arm and of its
+    decomposition; free (2,): the position (from 1 on) in the loop of joints of the angle that is free, and by how much it may
+    turn either way [rad]; box (at least 3, 6): lower limits, upper limits, reference [rad].
     """
     split = Split(*form[: len(Split._fields)])
     place, half = int(free[0]) - 1, float(free[1])
@@ -197,7 +204,7 @@ def families_of(
     lead, last = joints[0], joints[-1]
     low, high = (box[0, lead], box[1, lead]) if np.isfinite(box[:2, lead]).all() else (-math.pi, math.pi)
     found = []
-    if len(joints) == 2:  # The two axes coincide, so one joint turns as the other turns back.
+    if len(joints) == 2:  # The axes of two joints coincide, so one can turn while the other turns back.
         slope = -_alignment(arm, q, *sorted((lead, last)))
         for a, b in _ranges(float(q[lead]), slope, float(q[last]), (low, high), box[:2, last]):
             member, at = q.copy(), min(max(box[2, lead], a), b)

@@ -18,18 +18,20 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import SIZE, Answer, Ends, Orders, read, write
 
-# a robot fits a closed form exactly if its axes deviate from what the form assumes by less [rad, or length over the reach]
+# A robot fits a closed form exactly if its axes deviate by less than FIT [rad, or length over the reach] from what the form
+# assumes.
 FIT = 1e-9
-# A robot does not fit a closed form if its axes deviate from what the form assumes by more [rad, or length over the reach]. Files
-# written with five digits are off by up to 1e-4, and Newton steps correct that.
+# A robot does not fit a closed form if its axes deviate by more than NEAR [rad, or length over the reach] from what the form
+# assumes. Robot files written with five digits are off by up to 1e-4, and Newton steps correct that.
 NEAR = 1e-4
-SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
+SNAP = 1e-9  # [rad or m] a joint value that exceeds a limit by less than this is put on the limit
 
 
 class Fit(NamedTuple):
     """The result of comparing a chain with the geometry that a closed form assumes."""
 
-    parameters: np.ndarray  # The numbers that the closed form needs; empty if the chain does not fit.
+    # the numbers (link lengths, axes, ...) from which the closed form computes; empty if the chain does not fit
+    parameters: np.ndarray
     reason: str  # The reason why the chain does not fit, or ''.
     off: float  # By how much the axes deviate from what the form assumes [rad, or length over the reach].
 
@@ -54,18 +56,19 @@ class Family(NamedTuple):
 
 
 class Branches(NamedTuple):
-    """All branches that a closed form lists for one target."""
+    """The solutions (branches) that a closed form lists for one target, and what is known about the list."""
 
-    q: np.ndarray  # (K, n) the branches [rad or m], angles shifted by 2 pi k to be nearest the reference
-    broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
+    # (K, n) joint values of the branches [rad or m]; angles are shifted by 2 pi k to be nearest a reference, such as q0
+    q: np.ndarray
+    broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds its most exceeded joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether it is proven that there are no other branches.
-    # Text for the message that says at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''.
+    # text for the message of a solve: at which value of a prismatic joint the branches are, such as ' at lift 0.2 m'; or ''
     words: str
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that refine each branch on the actual chain.
-    fixed: int = -1  # index in q of a joint that the Newton steps do not move, or -1
-    partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
+    fixed: int = -1  # index in q of a joint that refining by Newton steps must not move, or -1
+    partial: bool = False  # whether the list is known to lack some solutions, so that a search must add them
     certificate: Any = None  # Evidence that the list is complete (`elimination.Certificate`), or None.
 
 
@@ -73,16 +76,19 @@ class Screws(NamedTuple):
     """The joint axes of a chain at q = 0, in the axes of the base."""
 
     turns: np.ndarray  # (n,) whether each joint is revolute
-    axis: np.ndarray  # Unit direction of each axis (n, 3).
+    axis: np.ndarray  # unit direction of each joint axis (n, 3)
     point: np.ndarray  # The point (n, 3) [m] of a revolute joint's axis that is nearest the tip.
     T: np.ndarray  # The pose T_base_tip (4, 4) [m].
 
 
 def read_screws(chain: Chain) -> Screws | str:
-    """Return the joint axes of a chain at q = 0 or, if one coordinate moves several joints (mimic), a text that says so."""
+    """Return the joint axes of a chain at q = 0; if one coordinate moves several joints (mimic), return a text that says so.
+
+    A mimic joint rules out a closed form.
+    """
     if not chain.plain:
         return "it has mimic joints"
-    # This uses plain NumPy, so recognising a robot compiles nothing.
+    # Only NumPy is used here, so that recognising a robot does not wait for the compiler.
     T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0
@@ -112,9 +118,9 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return an angle shifted by 2 pi k into [low, high] and, of several such values, the one nearest `near`; all [rad].
+    """Shift an angle by 2 pi k into [low, high] (all [rad]); of several values in this range, take the one nearest to `near`.
 
-    Also returns by how much the result is outside [low, high]; 0 if it is inside.
+    Returns the angle, and by how much it is outside [low, high]; 0 if it is inside.
     """
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
@@ -138,7 +144,7 @@ def clamp(x, low, high):
 
 @shared
 def one_turn(low, high, near):
-    """Return the part of [low, high] that a joint needs for every angle it can have there: a turn at most, about `near`."""
+    """Return a part of the joint range [low, high], at most one turn wide and about `near`, that holds every angle modulo 2 pi."""
     start = max(low, min(near - 0.5 * TAU, high - TAU))
     return start, min(start + TAU, high)
 
@@ -178,7 +184,7 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Write the answer q (n,) [rad or m] of a closed form, its errors and its status to the result row `out`.
+    """Compute the errors of the answer q (n,) [rad or m] of a closed form, and write q, errors and status to the result row `out`.
 
     rows, ends, opt: geometry, limits and options of the chain; T (4, 4): target; box (4, n): see `copy_limits`. broken: by how
     much the best branch exceeds a limit; gap: how far [m] the target is out of reach with its orientation kept; slack: how much of
@@ -203,7 +209,7 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
     elif broken > 0.0 and gap < o.tol_p:
         status = CODE.limit_blocked
     else:
-        status = CODE.stalled  # A stall proves nothing about the target.
+        status = CODE.stalled  # This status leaves open whether there is a solution.
     noted = 0.0
     if hist.shape[0] > 0:
         noted = 1.0

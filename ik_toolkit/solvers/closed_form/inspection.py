@@ -58,12 +58,13 @@ from .nearest import choose
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
-STEPS = 24  # Highest number of Newton steps that refine an answer on the robot's own chain.
+# largest number of Newton steps that refine an answer with the robot's own kinematics
+STEPS = 24
 CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Return whether, and how exactly, the joint axes of a chain are those of a spherical shoulder on a lift, as a Fit."""
+    """Return a Fit: whether, and how exactly, a chain is a six-joint arm with a spherical shoulder, on a prismatic lift or not."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
@@ -84,12 +85,13 @@ def recognise(chain: Chain) -> Fit:
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
-    # The shoulder is a point of axis 3 projected onto axis 1; axes 3 and 4 must pass through it.
+    # The shoulder is the point where the first three revolute axes (1, 3 and 4) meet. It is computed as the foot on axis 1 of a
+    # point of axis 3, and axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
         off.append((missed, f"its {place} revolute axis misses the point where the first and second are nearest"))
-    # the point of axis 5 in the plane through the shoulder perpendicular to axis 4
+    # the elbow: where axis 5 crosses the plane through the shoulder that is perpendicular to axis 4
     level5 = c5 + z4 * (z4 @ (shoulder - c5))
     missed = np.linalg.norm(across(z6, c6 - level5)) / chain.reach
     off.append((missed, "its fifth revolute axis does not cross the fourth level with the shoulder"))
@@ -127,11 +129,12 @@ def recognise(chain: Chain) -> Fit:
 
 @inner
 def best_branch(p, P, box, near, allowed, scratch, best):
-    """Fill best (n,) with the branch inside the limits that is nearest the reference, or else the one exceeding them least.
+    """Find the best solution (branch) of a wrist pose P: inside the limits the nearest to the reference, else the least outside.
 
-    p: the arm's parameters; P (12,): see `wrist_pose`; box (4, n): limits, reference, weights; near (6,): values of angles that are
-    free; allowed [m]: a wrist pose that is out of reach by less may be so by rounding. Returns the lift [m], by how much a limit is
-    exceeded [rad or m], the distance of P from the reach [m], and the stroke [m] that the prismatic joint lacks to reach P.
+    The solution is written to best (n,). p: the arm's parameters; P (12,): see `wrist_pose`; box (4, n): limits, reference,
+    weights; near (6,): values of angles that are free; allowed [m]: a wrist pose that is out of reach by less may be so by
+    rounding. Returns the lift [m], by how much a limit is exceeded [rad or m], the distance of P from the reach [m], and the
+    stroke [m] that the prismatic joint lacks to reach P.
     """
     spans, moved, sols, tries, row, limits = scratch
     q, trial = tries[0], tries[1]
@@ -151,18 +154,20 @@ def best_branch(p, P, box, near, allowed, scratch, best):
         broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
         if broken > 0.0:
             broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
-    elif free and gap >= allowed:  # A smaller gap may be rounding, and then no stroke is missing.
+    # If the pose is out of reach by less than `allowed`, that may be rounding, and the prismatic joint lacks no stroke.
+    elif free and gap >= allowed:
         d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-        if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
+        if stroke > 0.0:  # the answer for a target that the arm would reach if the prismatic joint had more stroke
             broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
     return d, broken, gap, stroke
 
 
 @cached
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
+    """Solve targets with the closed form: of the solutions (branches) inside the limits, the one nearest the start is the answer.
 
-    The arguments are those of `protocol.ClosedForm.loop`.
+    If there is none, the row gets the configuration that comes nearest, and the status says why. The arguments are those of
+    `protocol.ClosedForm.loop`.
     """
     n = seeds.shape[1]
     p = opt[SIZE.weights + n :]
@@ -182,13 +187,15 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         wrist_pose(p, T[t], P)
         d, broken, gap, stroke = best_branch(p, P, box, near, opt[ORDER.tol_p], scratch, best)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # orientation tolerance as a distance at the wrist
+        # how far [m] the wrist may move while the orientation stays within its tolerance
+        slack = opt[ORDER.tol_r] * lever
         nearly, spent = p[NEARLY] > 0.0, 0.0
         i = int(p[LIFT])
         fixed = i if p[LIFT + 2] == GIVEN else -1
         able = fixed < 0 or box[0, fixed] <= best[fixed] <= box[1, fixed]
         if able and (nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack)):
-            # The best branch so far, and all branches at the same lift, are refined on the robot's own chain.
+            # If the arm fits only approximately, or limits or reach are only just exceeded, the best branch and all others at the
+            # same lift are refined by Newton steps with the robot's own kinematics.
             at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
             copy(P, moved)
             inspection_nearest(moved, at, p[A4], p[A6])
@@ -200,10 +207,10 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             if nearly or out[t, AT.status] == CODE.converged:
                 continue
             spent = out[t, AT.evaluations] - 1.0
-        if nearly:  # A chain that fits only approximately proves nothing about the target.
+        if nearly:  # If the arm fits only approximately, the closed form cannot prove that a target is out of reach.
             broken, gap = 0.0, 0.0
         if broken > 0.0 and stroke == 0.0 and max(shoulder_on_axes(p, P, d, near)):
-            broken = 0.0  # Of an angle that is free only one value was tried, which proves nothing about the others.
+            broken = 0.0  # A free angle was tried at one value only, so it is not proven that limits block the target.
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
         if out[t, AT.status] == CODE.limit_blocked:
@@ -229,7 +236,7 @@ class Inspection(NamedTuple):
     every = staticmethod(listing)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the arm's parameters (49,) as `lift_arm` names them, with how the value of the prismatic joint is chosen.
+        """Return the arm's parameters (49,), which include how the value of the prismatic joint is chosen; `lift_arm` names them.
 
         Raises UnknownSolver if the robot has another structure, InvalidOption if `lift` is none of its choices.
         """

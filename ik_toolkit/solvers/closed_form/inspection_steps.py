@@ -29,17 +29,21 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-# Each row of the `table` of `worked_out` describes a branch; its angles begin at index ANGLES, q at Q.
+# A row of the array `table` that `worked_out` fills describes one solution (branch). From index ANGLES on it has the joint angles
+# theta, from index Q on the joint values q.
 ANGLES, Q = 3, 9
-# Where two transforms begin in the array of the arm's parameters: base to shoulder axes, and tip to wrist axes, each as rotation
-# (9), then point (3).
+# In the array of the arm's parameters, the transform from base to shoulder axes begins at index BASE, that from tip to wrist axes
+# at TOOL; each is a rotation matrix (9 numbers), then a point (3).
 BASE, TOOL = 0, 12
-ALIGNED = 1e-12  # rotations or points whose entries differ by less [1 or m] are the same
+ALIGNED = 1e-12  # two rotation matrices or points [m] are the same if no entry differs by more than this
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Indices in the array `head` that `worked_out` fills and describes, after the first twelve numbers (the wrist pose)."""
+    """Indices in the array `head`, in which `worked_out` returns intermediate results that all solutions of a pose share.
+
+    The first twelve numbers, without an index here, are the wrist pose.
+    """
 
     shoulder: int = 12
     room: int = 15
@@ -56,12 +60,13 @@ HEAD = HeadSlots()
 
 @cached
 def worked_out(p, T, d, box, head, table):
-    """Fill head (22,) and table (8, 9 + n) with what the solver computes for the pose T (4, 4); return the number of branches.
+    """Compute the solutions of the pose T (4, 4) with all intermediate results, to be explained; return the number of solutions.
 
-    p: the arm's parameters (`lift_arm`); d: value [m] of the prismatic joint; box (4, n): limits, reference, weights. head holds
-    the wrist pose (12), the shoulder in the wrist's axes (3), the distance to the edge of the reach [m], how far [m] the wrist was
-    moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers (0 or 1) of its
-    elbow, wrist and shoulder, theta_1 and theta_3 to theta_7, and q.
+    p: the arm's parameters (`lift_arm`); d: value [m] of the prismatic joint; box (4, n): limits, reference, weights. The results
+    are written to head (22,) and table (8, 9 + n). head holds the wrist pose (12), the shoulder in the wrist's axes (3), the
+    distance to the edge of the reach [m], how far [m] the wrist was moved to be reachable, and the first five values of
+    `forearm`. A row of table describes a branch: the numbers (0 or 1) of its elbow, wrist and shoulder, theta_1 and theta_3 to
+    theta_7, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -87,9 +92,10 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches of the pose T (4, 4), at the given value of the prismatic joint or that of box[2].
+    """Return the formulas and solutions (branches) of the pose T (4, 4), to explain a solve, at one value of the prismatic joint.
 
-    p: the arm's parameters (`lift_arm`); box (4, n): lower and upper limits, the answer to be explained [rad or m], weights.
+    That is the value given to the solver or, without one, the value in the answer box[2]. p: the arm's parameters (`lift_arm`);
+    box (4, n): lower and upper limits, the answer to be explained [rad or m], weights.
     """
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
@@ -168,7 +174,7 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
     r = sheet.formula("r", sqrt(s[0] ** 2 + s[1] ** 2), "m", "its distance from axis 7")
     near, far = (sqrt((r + side * a6) ** 2 + s[2] ** 2) for side in (-1, 1))
     words = "room left in the reach; below 0 is out of reach"
-    # The minimum stays unevaluated, because SymPy takes 50 ms to compare the two.
+    # SymPy must not simplify the minimum in this formula, because comparing its two arguments takes 50 ms.
     room = Min(a4 - near, far - a4, evaluate=False)
     sheet.formula("g", room, "m", words, None if head[HEAD.moved] > 0.0 else head[HEAD.room])
     wide = Max(sqrt((a4 - s[2]) * (a4 + s[2])), Abs(r - a6), evaluate=False)

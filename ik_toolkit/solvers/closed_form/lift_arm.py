@@ -22,29 +22,33 @@ from .reach import (
     shoulder_in_tool,
 )
 
-# Indices in the array p of the arm's parameters, after two transforms: base to shoulder axes (12) and tip to wrist axes (12). A4
-# and A6 are the lengths [m] from shoulder to axis 5 and from axis 5 to axis 7. From JOINTS on, each of the six revolute joints has
-# its index in q, its sign and its offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none),
-# its sign, the choice of its value and a given value. NEARLY tells whether the arm has the structure only approximately.
+# Indices in the array p of the parameters of the inspection arm (spherical shoulder, elbow and wrist, on a prismatic lift). First
+# come two transforms: base to shoulder axes (12) and tip to wrist axes (12). A4 and A6 are the lengths [m] from shoulder to axis 5
+# and from axis 5 to axis 7. From JOINTS on, each of the six revolute joints has its index in q, its sign and its offset: theta =
+# sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none), its sign, the choice of its value and a given
+# value. NEARLY tells whether the arm has the structure only approximately.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-# number of values of the prismatic joint tried in each feasible interval if no branch at the first value is inside the limits
+# If at the first value of the prismatic joint no solution is inside the limits, SCAN values in each feasible interval are tried.
 SCAN = 12
-# A branch is tried at 33 values of the prismatic joint. If all exceed limits, minima of the excess are searched for between them.
+# A solution (branch) is computed at WINDOWS values of the prismatic joint. If it is outside the limits at all of them, the minima
+# of its excess are searched for between them.
 WINDOWS = 33
-# The golden section takes 64 steps, after which the interval is as small as rounding: 0.618^64 = 4e-14.
+# A golden-section search takes CLOSING = 64 steps, after which its interval is as small as rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
-TURNS = 8  # largest |k| in shifts by 2 pi k; joints with wider limits count as endless
-# Axes 1 and 4 count as parallel if both of these are smaller: the component of the wrist's z axis along axis 1, and the position
-# error of `level_arm` as a share of a4 + a6.
+# Angles are shifted into their limits by 2 pi k with |k| at most TURNS; joints with wider limits count as unlimited.
+TURNS = 8
+# Axes 1 and 4 count as parallel if two numbers are below LEVEL: the component of the wrist's z axis along axis 1, and the position
+# error of `level_arm` as a share of the link lengths a4 + a6.
 LEVEL = 1e-9
 
 
 @shared
 def wrist_pose(p, T, P):
-    """Fill P (12,) with the pose of the wrist, seen from the shoulder at lift 0, for a target pose T (4, 4) of the tip.
+    """Convert a target pose T (4, 4) of the tip to the pose P (12,) of the wrist in the axes of the shoulder at lift 0.
 
-    P has the rotation by rows, then the point [m]; p: the arm's parameters.
+    The lift is the value of the prismatic joint that carries the arm. P has the rotation by rows, then the point [m]; p: the
+    arm's parameters.
     """
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
@@ -81,7 +85,7 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the angles theta [rad] of the reference configuration, from which angles that are free take their value.
+    """Fill near (6,) with the angles theta [rad] of the reference configuration; angles that the target leaves free keep them.
 
     p: the arm's parameters; box (4, n): lower limits, upper limits, reference [rad or m], weights.
     """
@@ -91,11 +95,12 @@ def near_angles(p, box, near):
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d [m] nearest the reference inside the limits, or else the one exceeding them least.
+    """Find the best solution (branch) of a wrist pose P at a lift d [m]: inside the limits the nearest one, else the least outside.
 
-    The wrist pose P (see `wrist_pose`) is first moved to the nearest one in reach. Returns by how much a limit is exceeded [rad or
-    m], and the weighted squared distance from the reference. p: the arm's parameters; box (4, n): limits, reference, weights; near
-    (6,): values of angles that are free; moved (12,), sols (8, 6) and q (n,) are scratch.
+    It is written to best (n,). Nearest is meant from the reference configuration. P (see `wrist_pose`) is first moved to the
+    nearest pose in reach. Returns by how much a limit is exceeded [rad or m], and the weighted squared distance from the
+    reference. p: the arm's parameters; box (4, n): limits, reference, weights; near (6,): values of angles that are free; moved
+    (12,), sols (8, 6) and q (n,) are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -122,11 +127,11 @@ def lift_limits(p, box):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift [m] in [low, high] from which a wrist pose P, out of reach from all of them, is missed least.
+    """Return the lift [m] in [low, high] at which the arm comes nearest to a wrist pose P that no lift in this range reaches.
 
     P: see `wrist_pose`; its orientation is kept. a4, a6: link lengths [m].
     """
-    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts farther away than this only increase the distance
+    side = math.hypot(P[9], P[10]) + a4 + a6  # beyond this distance in height from P, the arm only moves away from it
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
     for k in range(1, 65):
@@ -178,7 +183,7 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return lift, gap and missing stroke [m] where the limits of the prismatic joint keep the arm from the wrist pose P.
+    """Return how far the prismatic joint's limits keep the arm from the wrist pose P: lift, distance from P, missing stroke [m].
 
     If a lift beyond the limits reaches P, these are the limit nearest to such a lift, a gap of 0, and the distance between the
     two. Otherwise d and gap, the lift and distance from P found so far, are returned with a stroke of 0. p: the arm's parameters;
@@ -196,10 +201,11 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Fill best (n,) with the best branch at SCAN lifts in each feasible interval (a row of `spans`); return its limit excess.
+    """Search for a solution inside the limits at SCAN lifts in each feasible interval; return by how much the best exceeds limits.
 
-    The best is the branch inside the limits nearest the reference, or else the one that exceeds them least. The lifts are closer
-    together at the ends of an interval, where the angles change fastest. Other arguments as for `pick`; tries (2, n): scratch.
+    The best solution (branch) is the one inside the limits nearest the reference, or else the one that exceeds them least; it is
+    written to best (n,). spans: a row for each interval. The lifts are closer together at the ends of an interval, where the
+    angles change fastest. Other arguments as for `pick`; tries (2, n): scratch.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -215,10 +221,10 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q (n,) with branch k (0 to 7) of the wrist pose P at a lift in `span` [m]; return its limit excess and distance.
+    """Compute solution (branch) k, 0 to 7, of the wrist pose P at a lift in `span` [m]; return its limit excess and distance.
 
-    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval. The results are those of
-    `joint_values`; p, box, near: as for `pick`; row (6,): scratch.
+    q (n,) receives the joint values. turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
+    The results are those of `joint_values`; p, box, near: as for `pick`; row (6,): scratch.
     """
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
@@ -227,11 +233,12 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search feasible intervals of the lift (rows of `spans` [m]) for parts, perhaps narrow, where a branch is inside all limits.
+    """Search for narrow ranges of the lift in which some solution (branch) is inside all limits; return the least limit excess.
 
-    In such a part the largest excess of the branch over a limit, as a function of the lift, has a minimum. Each minimum is
-    approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of least excess, and
-    returns this excess. Other arguments as for `pick`; broken (WINDOWS,), row (6,) and q (n,) are scratch.
+    spans: the feasible intervals of the lift [m], one a row. In such a range the branch's largest excess over a limit, as a
+    function of the lift, has a minimum. Each minimum is approached by golden section until the excess is 0 or no longer falls.
+    Fills best (n,) with the branch of least excess. Other arguments as for `pick`; broken (WINDOWS,), row (6,) and q (n,) are
+    scratch.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -268,7 +275,7 @@ def narrow_windows(p, P, box, near, spans, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Return i, j, base and slope of q_j = base + slope q_i, the joints that turn theta_1 and theta_4, if their axes are parallel.
+    """Return i, j, base and slope of q_j = base + slope q_i: how joints 1 and 4 turn against each other if their axes are parallel.
 
     Of these angles the pose only determines theta_4 - up theta_1, with up = 1 or -1. p: the arm's parameters; row (6,): its
     angles.
@@ -280,7 +287,7 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the ends of the range of q_i [rad] in which q_i and q_j = shift + slope q_i are inside their limits.
+    """Return the two ends [rad] of the range of q_i in which q_i and q_j = shift + slope q_i are both inside their limits.
 
     The range is empty if its first end is above its second. slope is 1 or -1; box: lower limits, then upper limits of the joints.
     """
@@ -290,7 +297,7 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of an arm with axes 1 and 4 parallel by the joint value x [rad], and theta_4 so that the pose is kept.
+    """For an arm whose axes 1 and 4 are parallel: turn joint 1 to the value x [rad] and theta_4 back, so that the tip stays.
 
     row (6,): the arm's angles, changed in place; p: its parameters; up: 1 or -1, as for `coupled`.
     """
@@ -301,7 +308,7 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of an arm with these axes parallel to the pair inside the limits that is nearest the reference.
+    """If axes 1 and 4 are parallel, set theta_1 and theta_4 to the pair inside the limits that is nearest the reference.
 
     If no pair is inside the limits, the one that exceeds them least is taken. row (6,): the arm's angles, changed in place; p, up:
     as for `coupled`; box (4, n): limits, reference, weights.
@@ -324,7 +331,7 @@ def meet_limits(p, box, up, row):
 
 @inline
 def shoulder_on_axes(p, P, d, near):
-    """Return whether the shoulder lies on axis 6, and whether on axis 7, of the wrist pose P at lift (prismatic joint) d.
+    """Return whether the shoulder lies on axis 6, and whether on axis 7, if the wrist has pose P and the lift is d [m].
 
     theta_6 or theta_7 is then free. near (6,): any angles.
     """
@@ -334,11 +341,11 @@ def shoulder_on_axes(p, P, d, near):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best (n,) with the configuration that exceeds limits least among those with axes 1 and 4 parallel; return its excess.
+    """Find the solution with axes 1 and 4 parallel that exceeds the limits least; return by how much it exceeds them.
 
-    Of several, the one nearest to the reference is taken. The excess is infinite if no such configuration reaches the wrist pose
-    P. If `free`, each configuration takes the lift that it needs, otherwise lift d [m]. Other arguments as for `pick`; row (6,):
-    scratch.
+    It is written to best (n,). Of several, the one nearest to the reference is taken. The excess is infinite if no such
+    configuration reaches the wrist pose P. If `free`, each configuration takes the lift that it needs, otherwise lift d [m].
+    Other arguments as for `pick`; row (6,): scratch.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

@@ -38,8 +38,8 @@ from .reach import (
 )
 
 SPREAD_LIFTS = 9  # number of values of the prismatic joint, in each feasible interval, at which branches are listed
-STEPS = 8  # number of Newton steps that correct a branch of an arm that fits only approximately
-# reasons why an angle is free, as bits: axes 1 and 4 are parallel, or the shoulder is on axis 6, or on axis 7
+STEPS = 8  # number of Newton steps that correct a solution if the arm has the assumed geometry only approximately
+# Bits that say why a joint angle does not matter for the pose: axes 1 and 4 are parallel, the shoulder is on axis 6, or axis 7.
 LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4
 
 
@@ -66,7 +66,7 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Return the value [m] of the prismatic joint at which the branches of T (4, 4) are listed if one value is enough.
+    """Return the value [m] of the prismatic joint at which the solutions (branches) of T (4, 4) are listed if one value is enough.
 
     p: the arm's parameters (`lift_arm`); box (4, n): see `geometry.copy_limits`.
     """
@@ -77,13 +77,13 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of the branches Q (K, n) of the pose T (4, 4).
+    """Label the solutions (branches) Q (K, n) of the pose T (4, 4): fill marks (K, 3) with signs of shoulder, elbow and wrist.
 
     Returns why an angle is free at the value d [m] of the prismatic joint, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7). p: the arm's
     parameters (`lift_arm`).
     """
     for k in range(Q.shape[0]):
-        for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
+        for m in range(3):  # the signs of sin theta_3 (shoulder), sin theta_6 (elbow) and cos theta_5 (wrist)
             place = JOINTS + (3, 12, 9)[m]
             theta = p[place + 1] * Q[k, int(p[place])] + p[place + 2]
             value = math.cos(theta) if m == 2 else math.sin(theta)
@@ -96,11 +96,12 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the ranges [rad] in which joint 1 is free because axes 1 and 4 are parallel; return their number.
+    """Find the ranges [rad] in which joint 1 can turn, with joint 4 turning back, because their axes are parallel.
 
-    `samples` configurations spread evenly over each range are written to out (S samples, n), and by how much they exceed limits to
-    broken (S samples,). If `free`, each configuration has the value of the prismatic joint that it needs, otherwise d [m]. p: the
-    arm's parameters (`lift_arm`); T (4, 4): the pose; box (4, n): see `geometry.copy_limits`.
+    The ranges are written to spans (S, 2); their number is returned. `samples` configurations spread evenly over each range are
+    written to out (S samples, n), and by how much they exceed limits to broken (S samples,). If `free`, each configuration has
+    the value of the prismatic joint that it needs, otherwise d [m]. p: the arm's parameters (`lift_arm`); T (4, 4): the pose; box
+    (4, n): see `geometry.copy_limits`.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)
@@ -116,7 +117,7 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
             continue
         i, j, base, slope = coupled(p, up, row)
         first = np.rint((q[j] - base - slope * q[i]) / TAU)
-        # A whole turn of an endless joint leads to the same range again.
+        # A joint without limits meets the same range again after a whole turn, so the range is listed once.
         endless = math.isinf(box[1, i] - box[0, i]) or math.isinf(box[1, j] - box[0, j])
         turns = 0 if endless else TURNS
         for m in range(-turns, turns + 1):
@@ -193,7 +194,7 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
         marks = np.empty((len(q), 3), dtype=np.int8)
         looks(p, T, lifts[0], q, marks)
     nearly = p[NEARLY] > 0.0
-    # Where an angle of elbow or wrist is free, only samples of it were looked at.
+    # If an angle of elbow or wrist is free, the list has only samples of it, so it is not complete.
     sampled = free & (ON_AXIS_6 | ON_AXIS_7) > 0
     complete = not (nearly or families or sampled or (place >= 0 and choice == MIDDLE))
     fixed = -1 if place < 0 or free_lift else place

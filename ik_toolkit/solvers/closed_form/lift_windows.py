@@ -21,17 +21,23 @@ from .inspection import Inspection, feasible_lifts
 from .lift_arm import A4, A6, JOINTS, LIFT, NEARLY, joint_values, near_angles, wrist_pose
 from .reach import inspection_branch, inspection_nearest
 
-DEGREE = 12  # highest degree of a polynomial in the lift
-ROUNDED = 1e-13  # Leading Chebyshev coefficients below this share of the largest are rounding.
-# Roots count as real up to this imaginary part (of half the interval), because rounding splits double roots.
+DEGREE = 12  # highest degree of the polynomials in the lift (prismatic joint) that vanish where a joint is at a limit
+# A leading Chebyshev coefficient below ROUNDED times the largest one is rounding error, and is dropped.
+ROUNDED = 1e-13
+# A root counts as real if its imaginary part is below DOUBLE times half the interval, because rounding splits a double real root
+# into a complex pair.
 DOUBLE = 1e-3
-HALVINGS = 52  # number of bisections, after which an end is exact to rounding
-# A branch that moves by JUMP [rad] over twice the share GAP of an interval jumps there: axes 1 and 4 are parallel.
+HALVINGS = 52  # number of bisections that locate an end of a window, after which it is exact to rounding
+# If the joint values of a branch change by more than JUMP [rad] over a distance of 2 GAP times the interval, the branch jumps
+# there, because axes 1 and 4 are parallel.
 JUMP, GAP = 0.1, 1e-6
 
 
 class LiftWindow(NamedTuple):
-    """An interval of lifts [m] in which one branch (0 to 7) solves a pose inside all limits, and varies continuously."""
+    """An interval of the lift (prismatic joint) [m] in which one solution (branch 0 to 7) of a pose is inside all limits.
+
+    Along it the joint values vary continuously.
+    """
 
     branch: int
     low: float
@@ -68,7 +74,7 @@ def at_lifts(robot: Any, T: Any, lifts: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lift_windows(robot: Any, poses: Any) -> list[list[LiftWindow]]:
-    """Return the intervals of the lift in which each pose is solved inside all limits, for each of the eight branches.
+    """Return, for each of the eight solutions (branches) of each pose, the intervals of the lift in which it is inside all limits.
 
     The ends are exact to rounding. A single lift at which two limits meet is left out. So is one at which axes 1 and 4 are parallel
     and joint 1 is therefore free: a branch jumps there, and has a window on either side, up to a millionth of the interval of
@@ -180,7 +186,7 @@ def _conditions(p: np.ndarray, T: np.ndarray, box: np.ndarray, d: np.ndarray) ->
     along, side, z = S[:, :2] @ e, S[:, :2] @ np.array([-e[1], e[0]]), S[:, 2]
     squares, L2 = (S[:, :2] ** 2).sum(axis=1), (a4 - z) * (a4 + z)
     C = 0.5 * (a6 * a6 - L2 - squares)
-    # the coefficients of a quadratic in alpha, the same for every branch
+    # coefficients of a quadratic in alpha whose roots belong to the solutions of the pose
     pose = (squares, -2.0 * C * along, C * C - side * side * L2)
     made = [pose[2]]
     for k in range(6):

@@ -13,13 +13,13 @@ from ...kernel.records import AT, ORDER, SIZE, copy
 from .geometry import copy_limits, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # number of samples to list of a self-motion
+SAMPLE = 64  # number of samples to list of a self-motion (a continuum of solutions)
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Return a solve function (see `protocol.ClosedForm.loop`) that chooses among the branches listed by `form.every`.
+    """Return the solve function of a closed form that only lists its solutions (`form.every`): the nearest good one is chosen.
 
-    If it fails, nothing is proven about the target.
+    It is called as `protocol.ClosedForm.loop` says. A failure is no proof that the target has no solution.
     """
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
@@ -42,11 +42,11 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
 @cached
 def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
-    """Refine the branches Q (K, n) of the target T (4, 4) by Newton steps, and write the best one to the result row `out`.
+    """Refine solutions (branches) Q (K, n) of a target T (4, 4) by Newton steps, and write the best one to the result row `out`.
 
-    That is the one within the tolerances nearest the start q0 (or home if no q0 is given) or, if there is none, the one with the
-    smallest error. rows, ends, opt: geometry, limits and options of the chain; steps, fixed: as for `polish`; hist: a row of
-    history, or none.
+    The best is, of those within the tolerances, the one nearest the start q0 (or home if no q0 is given); if there is none, the
+    one with the smallest error. rows, ends, opt: geometry, limits and options of the chain; steps, fixed: as for `polish`; hist:
+    a row of history, or none.
     """
     n = Q.shape[1]
     box = np.empty((4, n))

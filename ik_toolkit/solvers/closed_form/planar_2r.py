@@ -31,11 +31,11 @@ from .geometry import (
 from .nearest import choose
 from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
 
-STEPS = 8  # number of Newton steps that correct a branch if axes are only nearly parallel
+STEPS = 8  # number of Newton steps that correct a solution if the two axes are only nearly parallel
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Return whether, and how exactly, a chain is two revolute joints with parallel axes, as a Fit."""
+    """Return a Fit: whether, and how exactly, a chain consists of two revolute joints with parallel axes."""
     screws = read_revolute(chain, 2)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -96,9 +96,10 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 @cached
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Write to the result row of each target the branch inside the limits that is nearest its start, or the nearest failure.
+    """Solve targets with the closed form: of the solutions (branches) inside the limits, the one nearest the start is the answer.
 
-    The arguments are those of `protocol.ClosedForm.loop`.
+    If there is none, the row gets the configuration whose tip is nearest the target. The arguments are those of
+    `protocol.ClosedForm.loop`.
     """
     n = 2
     p = opt[SIZE.weights + n :]
@@ -118,7 +119,8 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         x, y, off = to_plane(p, T[t])
         gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
         count = planar_branches(x, y, p[L1], p[L2], near, sols)
-        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
+        # If the axes are only nearly parallel, solutions are corrected by Newton steps, and failures prove nothing.
+        if p[NEARLY] > 0.0:
             for k in range(count):
                 joint_values(p, sols[k], box, Q[k])
             choose(rows, ends, T[t], Q[:count], STEPS, -1, q0, opt, hist, out[t])

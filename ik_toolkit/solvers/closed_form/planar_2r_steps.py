@@ -11,7 +11,7 @@ from ..explain.worked_solution import Branch, WorkedSolution, outside_limits
 from ..explain.worksheet import Worksheet, zero_angles
 from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
 
-BESIDE = "newton"  # Chinyai's paper compares the closed form with this solver
+BESIDE = "newton"  # name of the solver shown beside the closed form, because Chinyai's paper compares the two
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
@@ -23,7 +23,7 @@ def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> 
     """
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
     count, _ = list_planar(p, T, box, q, broken, marks)
-    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.
+    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # theta = sign q + offset for both joints of each solution
     # x and y of the target in the arm's plane, and its height above the plane
     point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]
     sheet = Worksheet()

@@ -12,10 +12,10 @@ from ...kernel.linalg import damped
 from ...kernel.records import ORDER, SIZE, Orders, copy, read
 from ...kernel.serial import make_serial
 
-DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
-SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
-# [rad] A solution that exceeds a limit by less is tried on the limit: where solutions merge, they are known only to the square root
-# of the rounding error.
+DAMPING = 1e-9  # damping of the first damped Newton step, so small that it is practically a plain Newton step
+SOFTEST, STIFFEST = 1e-12, 1e3  # bounds between which the damping of the Newton steps is adapted
+# [rad] A solution that exceeds a limit by less than BORDER is tried on the limit: where two solutions merge, they are known only to
+# the square root of the rounding error.
 BORDER = 1e-4
 DISTINCT = 1e-3  # [rad] a solution moved onto a limit is left out if another solution in the list is nearer than this
 
@@ -37,7 +37,7 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """Do what `polish` does, with a problem p (`kernel.serial`) that is already made of the chain.
+    """Improve q for the target T as `polish` does, given a problem p (`kernel.serial`) instead of the chain's arrays.
 
     old (n,) is scratch; the other arguments and the results are those of `polish`.
     """
@@ -96,9 +96,9 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 
 @inner
 def near_a_row(table, count, q):
-    """Return whether one of the first `count` solutions in a table is nearer to q (n,) than DISTINCT in every joint.
+    """Return whether q (n,) is already listed: whether one of the first `count` rows of a table differs by less than DISTINCT.
 
-    table (K, 3 + n): rows as `list_with` writes them.
+    DISTINCT bounds the difference of every joint [rad]. table (K, 3 + n): rows as `list_with` writes them.
     """
     for row in range(count):
         apart = 0.0
@@ -111,7 +111,7 @@ def near_a_row(table, count, q):
 
 @cached
 def list_branches(rows, ends, opt, T, start, branches, table, signs):
-    """List the branches of a target as `list_with` does, given the arrays rows, ends of the chain instead of a problem."""
+    """List the branches of a closed form that are solutions, as `list_with` does, given the chain's arrays instead of a problem."""
     p = make_serial(rows, ends, opt[SIZE.orders :], start.shape[0], read(Orders, opt))
     return list_with(p, np.empty((2, start.shape[0])), opt, T, start, branches, table, signs)
 

@@ -13,13 +13,16 @@ from ...compile.jit import cached, dual, inline, inner, shared
 from ...kernel.kinematics import TAU
 from .geometry import legal_turn
 
-# Both elbow branches count as one if the sine of the elbow angle is below 1e-7; the error is 1e-15 of the arm's length.
+# The two solutions of the elbow count as one if the sine of the elbow angle is below 1e-7. The tip's error is then 1e-15 of the
+# arm's length.
 MERGED = 1e-7
 ON_AXIS = (
-    # An angle about an axis is free if the point that it turns is nearer to the axis than this share of the link lengths.
+    # A joint angle is free (does not matter) if the point that the joint turns is nearer to its axis than ON_AXIS times the link
+    # lengths.
     1e-12
 )
-EDGE = 1e-13  # rounding allowed in a test of reach, as a share of the link lengths
+# a point farther out than the reach by less than EDGE times the link lengths still counts as in reach (rounding)
+EDGE = 1e-13
 # Indices in the array p of a planar arm's parameters, after the transform from the base to the arm's plane (12): both link lengths
 # and the height of the plane [m]. From ANGLES on, each joint has a sign and an offset: theta = sign q + offset. NEARLY tells
 # whether the axes are only nearly parallel.
@@ -35,9 +38,13 @@ def wrap(x):
 
 @shared
 def elbow(r, l1, l2):
-    """Return the elbow angle, 0 to pi, of two links l1 and l2 that span the distance r, accurate also at both ends of the reach."""
-    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # a is 2 l1 l2 (1 - cos), without cancellation
-    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # b is 2 l1 l2 (1 + cos), without cancellation
+    """Return the elbow angle, 0 to pi, at which two links of lengths l1 and l2 span the distance r.
+
+    It is accurate also where the arm is nearly stretched or folded.
+    """
+    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # a = 2 l1 l2 (1 - cos elbow), as a product, which loses no digits
+    # b = 2 l1 l2 (1 + cos elbow), as a product, which loses no digits
+    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
 
 
@@ -50,10 +57,10 @@ def planar_margin(x, y, l1, l2):
 
 @shared
 def planar_branches(x, y, l1, l2, near, sols):
-    """Fill sols (2, 2) with theta_1, theta_2 of two links for the reachable point nearest (x, y); return their number, 1 or 2.
+    """Fill sols (2, 2) with the angles theta_1, theta_2 that bring two links to (x, y); return the number of solutions, 1 or 2.
 
-    l1, l2: link lengths [m]. theta_2 > 0 comes first. Where the links fold back onto the base, theta_1 is free and taken from
-    `near`.
+    A point out of reach is replaced by the nearest one in reach. l1, l2: link lengths [m]. theta_2 > 0 comes first. Where the
+    links fold back onto the base, theta_1 is free and taken from `near`.
     """
     r = math.hypot(x, y)
     size = l1 + l2
@@ -135,7 +142,7 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Return how far [m] a wrist pose P is inside (positive) or outside (negative) the reach, its orientation kept.
+    """Return how far [m] a wrist pose P is inside (positive) or outside (negative) the reach at lift d, with its orientation kept.
 
     P, d: as for `shoulder_in_tool`; a4, a6: link lengths [m].
     """
@@ -175,7 +182,7 @@ def inspection_nearest(P, d, a4, a6):
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Return what all branches of a wrist pose P share: the geometry of elbow and wrist.
+    """Return the geometry of elbow and wrist that all eight solutions (branches) of a wrist pose P have in common.
 
     That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the angles
     `inner` and `heading` (from which `wrist` computes theta_7), and the sine and cosine of theta_5. P must be in reach from d (see
@@ -202,24 +209,24 @@ def forearm(P, d, a4, a6, near):
 
 @shared
 def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
-    """Return cos(theta_5), theta_5, theta_6, theta_7 of elbow branch k6 and wrist branch k5 (0 or 1 each).
+    """Return cos(theta_5), theta_5, theta_6, theta_7 for one of two solutions of the elbow (k6, 0 or 1) and of the wrist (k5).
 
     The other arguments are what `forearm` returns for the wrist pose.
     """
     e6 = 1.0 - 2.0 * k6
     t6, t7 = bend if on_six else e6 * bend, e6 * inner - heading
     yaw = math.atan2(s5, c5)
-    if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together, and so does the elbow's sine.
+    if k5 == 1:  # The other solution of the wrist turns theta_5 into pi - theta_5 and theta_6 into theta_6 + pi.
         return -c5, math.pi - yaw, (t6 - math.pi if t6 > 0.0 else t6 + math.pi), t7
     return c5, yaw, t6, t7
 
 
 @shared
 def shoulder(P, c5, s5, phi, given, t1):
-    """Return the tilt (sine of the angle between axes 1 and 4), and theta_1, theta_3, theta_4 of the first shoulder branch.
+    """Return the sine of the angle between axes 1 and 4, and theta_1, theta_3, theta_4 of the first solution of the shoulder.
 
-    P: as for `shoulder_in_tool`; c5, s5: cosine and sine of theta_5; phi = theta_6 + theta_7. theta_1 is t1 if `given`, or if the
-    tilt is 0 and theta_1 therefore free. The second branch is theta_1 + pi, -theta_3, theta_4 + pi.
+    P: as for `shoulder_in_tool`; c5, s5: cosine and sine of theta_5; phi = theta_6 + theta_7. theta_1 is t1 if `given`, or if
+    that sine is 0 and theta_1 therefore free. The second solution is theta_1 + pi, -theta_3, theta_4 + pi.
     """
     cp, sp = math.cos(phi), math.sin(phi)
     m02 = -(P[0] * sp + P[1] * cp)
@@ -240,7 +247,7 @@ def shoulder(P, c5, s5, phi, given, t1):
 
 @shared
 def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
-    """Fill row (6,) with theta_1, theta_3 to theta_7 of shoulder branch k3 (0 or 1), given those of branch 0, in -pi..pi."""
+    """Fill row (6,) with theta_1, theta_3 to theta_7 of shoulder solution k3 (0 or 1), given those of solution 0, in -pi..pi."""
     row[0] = wrap(t1 + k3 * math.pi)
     row[1] = t3 * (1.0 - 2.0 * k3)
     row[2] = wrap(t4 + k3 * math.pi)
@@ -251,7 +258,7 @@ def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
 
 @shared
 def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 to theta_7 of all branches of a wrist pose P; return their number.
+    """Fill sols (8, 6) with theta_1, theta_3 to theta_7 of all solutions (branches) of a wrist pose P; return their number.
 
     There are eight if none merge: two each of wrist, elbow and shoulder. P must be in reach from d (see `inspection_nearest`). A
     free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder lies on axis 6, theta_7 if on axis
@@ -271,9 +278,10 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with theta_1, theta_3 to theta_7 of branch k (0 to 7), which vary smoothly with the lift d [m].
+    """Fill row (6,) with theta_1, theta_3 to theta_7 of solution (branch) k, 0 to 7, of a wrist pose at lift d [m].
 
-    Bits 0, 1 and 2 of k choose shoulder, wrist and elbow. Other arguments as for `inspection_branches`.
+    For one k the angles vary smoothly with d. Bits 0, 1 and 2 of k choose shoulder, wrist and elbow. Other arguments as for
+    `inspection_branches`.
     """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
@@ -310,7 +318,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
 
 @cached
 def many_branches(P, lifts, a4, a6, near, sols):
-    """Return the total number of branches of wrist poses P (N, 12) at lifts (N,) [m]; only benchmarks use this function."""
+    """Return the total number of solutions of wrist poses P (N, 12) at lifts (N,) [m]; only benchmarks use it, for timing."""
     count = 0
     for k in range(P.shape[0]):
         count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)
@@ -332,7 +340,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return the lift [m] where a wrist pose P just comes into reach, by bisection between `outside` and `inside`.
+    """Return the lift [m] at which a wrist pose P just comes into reach, between the lifts `outside` and `inside`, by bisection.
 
     P is out of reach from the first and in reach from the second; a4, a6: link lengths [m].
     """

@@ -12,16 +12,16 @@ from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
 from .layout import Block, Sentence, Table, Variable, decimals, digits
 
-# Axes count as parallel if the sine of the angle between them is smaller, and as meeting if their distance over the reach is
-# smaller.
+# Two joint axes count as parallel if the sine of the angle between them is below SAME, and as meeting if their distance over the
+# reach is.
 SAME = 1e-7
 AGREES = 1e-6  # [rad, or length over the reach] largest difference allowed between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:
-    """Return the D-H table with a row for each joint of a robot: its own table file, or one read off the joint axes.
+    """Return the Denavit-Hartenberg table of a robot, a row for each joint: from the robot's own table file or its joint axes.
 
-    None if neither gives the kinematics of the robot, as with mimic joints, or axes that are parallel but for rounding.
+    Returns None if neither reproduces the robot's kinematics, as with mimic joints, or axes that are not quite parallel.
     """
     entry = shipped_robots().get(robot.name)
     if entry is not None and entry.dh_file is not None:
@@ -47,7 +47,7 @@ def _agrees(table: DHTable, robot: Any) -> bool:
 
 
 def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
-    """Yield the table of an arm with its joints at q (n,), in mm and degrees; the value that a joint changes is marked."""
+    """Yield the D-H table of an arm at q (n,), in mm and degrees, for display; in each row the joint's variable is marked."""
     if table is None:
         why = "axes that are parallel but for rounding lead to rows too long to compute with"
         yield Sentence(f"None: {why if arm.chain.plain else 'a joint that drives others has no row of its own'}.")
@@ -107,7 +107,7 @@ def _clean(value: float) -> float:
 
 
 def _frame(z: np.ndarray, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    # What rounding has left of x along z is taken off, because a long d of the next row would multiply it.
+    # x is made exactly perpendicular to z, because a large d in the next row of the table would multiply any rounding error.
     x = across(z, x)
     x = x / np.linalg.norm(x)
     T = np.eye(4)
@@ -127,14 +127,16 @@ def _next(
     z: np.ndarray, x: np.ndarray, origin: np.ndarray, after: np.ndarray, point: np.ndarray, near: float
 ) -> np.ndarray:
     """Return the frame on the axis `after` through `point` whose x axis is the common normal from the axis z through `origin`."""
-    # This is z x after. With the part along z taken off first, it is exact also where the axes are nearly parallel.
+    # the cross product of z and the next joint axis, exact even if the two are nearly parallel, because the next axis loses its
+    # part along z first
     normal = np.cross(z, after - math.copysign(1.0, z @ after) * z)
     length = float(np.linalg.norm(normal))
     if length < SAME:
         foot = across(z, point - origin)
         far = float(np.linalg.norm(foot))
         return _frame(after, foot / far if far > near else x, origin + (foot if far > near else 0.0))
-    # The feet of the common normal are origin + s z and point + t after; they differ by a multiple of the normal.
+    # The common normal of two joint axes meets them at origin + s z and point + t after; s and t follow from the difference of
+    # these points being a multiple of the normal.
     s, t, gap = np.linalg.solve(np.column_stack([z, -after, normal]), point - origin)
     normal = normal / length
     meets = abs(gap) * length <= near

@@ -21,11 +21,11 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import WorkedSolution, nearest_branch
 
-# A branch listed by EAIK is shown if its position error over the reach is smaller; near singular poses Newton steps correct errors
-# of that size.
+# A solution (branch) listed by the package EAIK is shown if its position error over the reach is below NEARLY. Near singular poses
+# errors of that size are usual, and Newton steps correct them.
 NEARLY = 1e-3
-# An answer that differs less from a branch [rad, or length over the reach] counts as that branch. Newton steps move the branches of
-# a robot that fits approximately.
+# The answer counts as one of the closed form's solutions (branches) if it differs from it by less than SAME [rad, or length over
+# the reach]. If the robot fits the form only approximately, Newton steps have moved it by about that much.
 SAME = 1e-6
 
 
@@ -43,7 +43,8 @@ def explain_result(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (KIND.pose,) else of.T[0][:3, 3]
-        if not solution.steps:  # a form without formulas, as EAIK, may list branches that miss the target
+        # EAIK, a closed form whose formulas are not shown, may list solutions that miss the target
+        if not solution.steps:
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         nearest, apart = nearest_branch(robot, solution.branches, q)
@@ -52,7 +53,7 @@ def explain_result(result: Any) -> Explanation:
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
-        # the search found the answer after the closed form had failed, and is run again to show its iterations
+        # The closed form failed and an iterative search found the answer. The search is run again to show its iterations.
         iterations = _iterations(_run(of, plan.search()) if plan.row.closed else of, type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
@@ -83,7 +84,8 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
         what = f"No closed form of the toolkit fits '{robot.name}' and this kind of target"
         return None, f"{what}, so the solution is found by iteration."
     row = find_row(name)
-    # The form is only written out, so options that it would refuse to solve with (closest, follow, priority) are left out.
+    # The closed form is only written out, not used to solve, so options that it would refuse (closest, follow, priority) are left
+    # out.
     return Plan(robot, row, row.load()(), Options(limits=plan.options.limits)), ""
 
 

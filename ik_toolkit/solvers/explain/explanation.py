@@ -87,7 +87,7 @@ class Explanation:
         return nearest_branch(self.robot, self.worked.branches, self.q)[0] if self.worked is not None else 0
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the parts of the explanation in order: sentences, titles, tables and equations, as yet without a format."""
+        """Yield the parts of the explanation in order (sentences, titles, tables, equations), not yet formatted as text or HTML."""
         yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
             yield Title("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
@@ -110,7 +110,7 @@ class Explanation:
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
-        """Yield the formulas that lead to branch k of the closed form, with their numbers."""
+        """Yield the parts of the explanation with the formulas, and their numbers, that lead to solution (branch) k."""
         assert self.worked is not None
         made = self.worked
         if made.words:
@@ -167,7 +167,8 @@ class Explanation:
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
         yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
         if self.chosen is None:
-            # The answer may be a branch up to a solver's tolerance or to Newton steps, so the text says how far off it is.
+            # The answer need not equal the branch exactly, because of the solver's tolerance or Newton steps. So the text says how
+            # much they differ.
             k = self.nearest
             i = int(np.argmax(np.abs(branches[k].q - self.q) / self.robot.chain.unit))
             off = abs(float(branches[k].q[i] - self.q[i]))
@@ -248,7 +249,7 @@ class Explanation:
 
 
 def target_table(T: np.ndarray, places: int) -> Table:
-    """Show a target as the columns n, o, a and p of its pose, or p alone if its rotation does not count."""
+    """Return a table of a target: the columns n, o, a (rotation) and p (position) of its pose, or p alone if rotation is free."""
     shown = zip("xyz", T[:, None] if T.ndim == 1 else T[:3], strict=True)
     rows = [(axis, *(digits(x, "", 0) for x in row[:-1]), digits(row[-1], "m", places)) for axis, row in shown]
     return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)

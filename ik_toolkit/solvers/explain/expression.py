@@ -11,9 +11,9 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
-BREAK = "\v"  # character put into MathML where a line may end
-# SLOT matches a placeholder in a written formula: the name of the symbol whose number goes there, and whether a negative number
-# needs parentheses.
+BREAK = "\v"  # character that marks in MathML text where a line may be broken; replaced later
+# SLOT matches a placeholder in the text of a formula, which is replaced by a number with its unit. It holds the name of the symbol
+# that the number is for, and whether a negative number needs parentheses.
 SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
@@ -68,14 +68,15 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
         return "atan2" if isinstance(e, sympy.atan2) else super().mathml_tag(e)
 
     def doprint(self, expr: Any) -> str:
-        """Write an expression in a row with a BREAK wherever a line may end, because browsers break no line inside a formula."""
+        """Return an expression as MathML with a mark (BREAK) wherever a line may end, because browsers do not break formulas."""
         made, before = "", ""
         for node in _flat(self._print(expr)):
             now = node.firstChild.data if node.tagName == "mo" else ""
             if now in ("+", "-"):
                 node.setAttribute("form", "infix" if made and not before else "prefix")
                 made += BREAK if made and not before else ""
-            if node.tagName == "msqrt" and before == "&#xB7;":  # A root is long, so a line may end before it.
+            # A square root is long, so a line may be broken before it.
+            if node.tagName == "msqrt" and before == "&#xB7;":
                 made += BREAK
             made += node.toxml() + (BREAK if now == "," else "")
             before = now.replace(")", "").replace("|", "")
@@ -91,9 +92,9 @@ def _flat(node: Any) -> Iterator[Any]:
             yield from _flat(child)
 
 
-@functools.lru_cache(4096)  # The formulas of a closed form are the same for every target.
+@functools.lru_cache(4096)  # cached, because the formulas of a closed form are the same for every target
 def written(expression: Any, form: str) -> str:
-    """Write an expression as 'text' (one line of Python), 'latex' (without dollar signs) or 'mathml' (for inside `<math>`)."""
+    """Return a SymPy expression as 'text' (one line of Python), 'latex' (no dollar signs) or 'mathml' (for inside `<math>`)."""
     if form == "text":
         return _Text().doprint(expression)
     dots = {"mul_symbol": "dot"} if form == "mathml" or expression.has(_Slot) else {}
@@ -101,7 +102,7 @@ def written(expression: Any, form: str) -> str:
 
 
 def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
-    """Write a SymPy expression, unsimplified, with texts such as '-12.5 deg' (given by symbol name) in place of its symbols."""
+    """Return a SymPy expression as text, unsimplified, with values such as '-12.5 deg' (by symbol name) in place of symbols."""
 
     def put_in(found: re.Match[str]) -> str:
         text = texts.get(found[1], "180 deg")
@@ -114,7 +115,7 @@ def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
 
 
 def quantity(text: str, form: str) -> str:
-    """Write a number with its unit, like '-12.5 deg', as 'text', 'latex' or 'mathml' (for inside `<mn>`)."""
+    """Return a number with its unit, like '-12.5 deg', as 'text', 'latex' or 'mathml' (for inside `<mn>`)."""
     digits, _, unit = text.partition(" ")
     if form == "text" or (not unit and form == "latex"):
         return text

@@ -11,8 +11,9 @@ from ...style import BAD, MUTED
 from .worked_solution import WorkedStep
 
 WIDTH = 80  # width of the plain text, in characters
-UNITS = {"m": "mm", "rad": "deg", "": ""}  # units in which values in m, rad or 1 are shown
-SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # factors from values in m, rad or 1 to these units
+UNITS = {"m": "mm", "rad": "deg", "": ""}  # unit in which explanations show values that are in m, rad or without unit
+# factor that converts a value in m, rad or without unit to the unit shown (mm, deg)
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}
 
 
 class Title(str):
@@ -24,15 +25,15 @@ class Sentence(str):
 
 
 class Variable(str):
-    """A cell of a D-H table that shows the present value of the joint's variable, and is marked."""
+    """A table cell with the present value of the parameter that a joint changes (theta or d of a D-H table); shown highlighted."""
 
 
 class OutsideLimits(str):
-    """A cell with a joint value outside the joint's limits."""
+    """A table cell with a joint value that is outside the joint's limits; shown marked."""
 
 
 class Table(NamedTuple):
-    """A table in an explanation: texts of the column heads and of the cells by rows."""
+    """A table in an explanation: texts of the column heads, and of the cells row by row."""
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
@@ -41,7 +42,7 @@ class Table(NamedTuple):
 class Equations(NamedTuple):
     """Steps of a calculation in an explanation, shown as equations.
 
-    Formulas may use symbols of the steps `before`; places: decimals of a millimetre to show.
+    Formulas may use the symbols of the steps `before`. places: the number of decimals with which millimetres are shown.
     """
 
     steps: tuple[WorkedStep, ...]
@@ -55,7 +56,7 @@ MARKS: dict[type, str] = {Variable: "*", OutsideLimits: "!"}
 
 # ----------------------------------------------------------------------------------------------------------------- numbers
 def decimals(reach: float) -> int:
-    """Return how many decimals of a millimetre show a millionth of an arm's reach [m]."""
+    """Return the number of decimals with which lengths in mm are shown, so that a millionth of the arm's reach [m] is visible."""
     return int(min(max(round(6.0 - math.log10(1000.0 * reach)), 0), 12))
 
 
@@ -65,17 +66,18 @@ def unit_of(kind: str) -> str:
 
 
 def digits(value: float, unit: str, places: int) -> str:
-    """Write the digits of a value: millimetres with `places` decimals for 'm', degrees for 'rad', otherwise the value."""
+    """Return a value [m, rad or 1] as text without its unit: metres as mm with `places` decimals, radians as degrees."""
     text = f"{SCALES[unit] * value:.{ {'m': places, 'rad': 4}.get(unit, 6) }f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 # --------------------------------------------------------------------------------------------------------------- equations
 def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
-    """Yield the equations of a block in groups, each with the step that begins it, written in a form of `expression.written`.
+    """Yield the equations of a block in groups that are shown together, each with its first step.
 
-    An equation is a list of its sides. A step with a formula is a group of its own with one equation: symbol, formula, formula
-    with numbers, value with unit. A given number without words joins the group of given numbers before it.
+    The sides are written as 'text', 'latex' or 'mathml' (see `expression.written`). An equation is a list of its sides. A step
+    with a formula is a group of its own with one equation: symbol, formula, formula with numbers, value with unit. A given number
+    without words joins the group of given numbers before it.
     """
     # SymPy is imported here, because only explanations need it.
     from .expression import quantity, with_numbers, written
@@ -90,7 +92,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[
         sides = [written(step.symbol, form)]
         if step.formula is not None:
             sides.append(written(step.formula, form))
-            # If the formula with numbers is just the value, the value is not shown twice.
+            # A formula with its numbers put in may be just the value, which is then not repeated.
             if with_numbers(step.formula, "text", texts) != texts[step.name]:
                 sides.append(with_numbers(step.formula, form, texts))
         value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)

@@ -33,9 +33,10 @@ class WorkedStep(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """One solution of a closed form, to be shown.
+    """One solution (branch) of a closed form, with what is shown about it.
 
-    It has a label, q (n,) [rad or m], the names of joints outside their limits, and the steps of the calculation for it alone.
+    label: text such as its signs of shoulder, elbow and wrist; q: joint values (n,) [rad or m]; names of joints outside their
+    limits; the steps of the calculation that belong to this solution alone.
     """
 
     label: str
@@ -73,12 +74,12 @@ class WorkedSolution(NamedTuple):
     beside: str = ""
 
     def steps_of(self, branch: Branch) -> tuple[WorkedStep, ...]:
-        """Return every step that leads to a branch, from the given numbers to its joint values."""
+        """Return every step of the calculation that leads to one solution (branch), from the given numbers to its joint values."""
         return (*self.steps, *branch.steps)
 
 
 def listed_branches(robot: Any, found: Any) -> WorkedSolution:
-    """Return the branches (`closed_form.geometry.Branches`) of a closed form for which no derivation is written, as a list."""
+    """Return the solutions (`closed_form.geometry.Branches`) of a closed form as a WorkedSolution without formulas."""
     branches = [Branch(f"branch {k}", q, outside_limits(robot, q)) for k, q in enumerate(found.q, 1)]
     return WorkedSolution((), tuple(branches))
 
@@ -92,7 +93,7 @@ def outside_limits(robot: Any, q: np.ndarray) -> tuple[str, ...]:
 def nearest_branch(robot: Any, branches: Sequence[Branch], q: np.ndarray) -> tuple[int, float]:
     """Return the index of the branch nearest q (n,) [rad or m], and by how much [rad, or length over the reach] it differs at most.
 
-    Without any branch these are 0 and infinity.
+    If there is no branch, returns 0 and infinity.
     """
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0

@@ -11,9 +11,9 @@ from .worked_solution import WorkedStep
 
 
 class Worksheet:
-    """The steps of a calculation in the order in which they are computed.
+    """Collects the steps of a calculation (formulas with their values) in the order in which they are computed.
 
-    Each call adds a step and returns its symbol, which the formulas of later steps may use.
+    The methods add steps and return their symbols, which the formulas of later steps may use.
     """
 
     def __init__(self, before: Sequence[WorkedStep] = ()) -> None:
@@ -28,17 +28,21 @@ class Worksheet:
     def formula(self, name: str, formula: Any, unit: str = "", words: str = "", value: float | None = None) -> Any:
         """Add a step with a formula; return its symbol.
 
-        Its value [m, rad or 1] is the one given, from the solver, or else computed from the values of earlier steps.
+        Its value [m, rad or 1] is `value` if given (as the solver has computed it), or else follows from the values of earlier
+        steps.
         """
         return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
 
     def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
-        """Add a step for an angle [rad], its shift by 2 pi k written into the formula if `value` has one; return its symbol."""
+        """Add a step for an angle [rad]; return its symbol. If `value` is 2 pi k off the formula, this shift is written into it."""
         turns = round((self.value(formula) - value) / (2.0 * math.pi))
         return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
 
     def vector(self, name: str, formulas: Any, unit: str = "", words: str = "", values: Any = None) -> Any:
-        """Add components NAME_x, NAME_y (and NAME_z) and return them as a SymPy column; without formulas the values are given."""
+        """Add a step for each component of a vector (NAME_x, NAME_y, NAME_z); return their symbols as a SymPy column.
+
+        Without formulas the components are given numbers.
+        """
         axes = "xyz"[: len(values if formulas is None else formulas)]
         made = []
         for i, axis in enumerate(axes):
@@ -48,17 +52,17 @@ class Worksheet:
         return Matrix(made)
 
     def joint(self, name: str, angle: Any, place: int, sign: float, offset: Any, value: float) -> None:
-        """Add the value [rad] of the joint at index `place` of q, which follows from angle = sign q + offset.
+        """Add a step for the value q [rad] of a revolute joint, which follows from its D-H angle: angle = sign q + offset.
 
-        Nothing is added if the value equals the angle. `name` is the joint's name, `angle` the symbol of the angle,
-        `offset` the symbol of the angle at q = 0, or 0.
+        Nothing is added if the value equals the angle. `place` is the joint's index in q, `name` its name, `angle` the symbol of
+        the angle, `offset` the symbol of the angle at q = 0, or 0.
         """
         formula = (angle - offset) * (-1 if sign < 0.0 else 1)
         if formula != angle or abs(value - self.values[angle]) > 1.0:
             self.angle(f"q_{place + 1}", formula, value, name)
 
     def value(self, formula: Any) -> float:
-        """Evaluate a formula with the values so far; return the number [m, rad or 1]."""
+        """Evaluate a formula with the values of the steps so far; return the number [m, rad or 1]."""
         symbols, function = _compiled(formula)
         return float(function(*(self.values[symbol] for symbol in symbols)))
 

@@ -11,10 +11,10 @@ from ..protocol import Asked, rule
 class Sweep(NamedTuple):
     """The compiled step of CCD: one sweep over all joints.
 
-    It has a field because numba passes no NamedTuple without one.
+    The class has a field only because numba cannot pass a NamedTuple without one to compiled code.
     """
 
-    least: float  # a joint whose motion gives the tip a smaller squared speed than this counts as not moving it
+    least: float  # a joint is skipped if the tip's squared speed at a joint speed of 1 is smaller than this
 
     JACOBIAN = False
 
@@ -34,7 +34,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # a trial needs one evaluation, and another one to undo it
+            if not s.affords(2):  # Trying a joint's step costs one evaluation of FK, and undoing it another one.
                 cut = True
                 break
             s.q[i] = new

@@ -14,11 +14,11 @@ from ...text import how_many
 from ...validate import switch
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inverse
+FLOOR = 1e-12  # smallest damping in J J' + damping I, needed because J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
-    """Return a text that says that the parameter `name` must be at least 0, or '' if `value` is not a negative number."""
+    """Return an error text that the parameter `name` must be at least 0 if `value` is negative, otherwise ''."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -150,7 +150,8 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson: the Jacobian is inverted by LU decomposition."""
 
-    trials: float  # highest number of trials of the line search; 0 takes the whole step without a trial
+    # largest number of times that the line search halves the step; 0 takes the whole step without a trial
+    trials: float
 
     def step(self, p, e):
         s = p.desk
@@ -166,7 +167,7 @@ class Inverse(NamedTuple):
         return self.shorten(p, e) if self.trials > 0.0 else 0
 
     def shorten(self, p, e):
-        """Halve the step s.dq until it lowers the squared error e.ee inside the limits; if no such step is found, it becomes 0.
+        """Line search: halve the step s.dq until it lowers the squared error e.ee inside the limits; set it to 0 if none does.
 
         Returns WAITING if the evaluations run out first, else 0. s = p.desk is the scratch of the problem p; e: the errors at s.q.
         """

@@ -14,19 +14,21 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, start_parameter
 
-# for each system of units, the factor that converts a gain to rad per metre of error
+# For each system of units in which a preset may give its gains: the factor that converts a gain to rad per metre of error.
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}
 
 
-# A trial must improve the error by more than 1e-14 of the length scale, which is above rounding.
+# A trial step of a joint counts as an improvement only if the error falls by more than 1e-14 of the length scale, which is above
+# rounding.
 ROUNDING = 1e-14
 
 
 @compiled
 class Gains(NamedTuple):
-    """The compiled step of IK-PID: one sweep over all joints. Its gains are for lengths divided by the scale of the robot.
+    """The compiled step of IK-PID, one sweep over all joints; its gains are for lengths divided by the robot's length scale.
 
-    In p.desk.x it keeps the sum of the error norms so far, the last error norm, and whether there is a last one.
+    Between sweeps, the array p.desk.x keeps the sum of the error norms so far, the last error norm, and whether there is a last
+    one.
     """
 
     kp: float
@@ -64,7 +66,7 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                # If no trial lowers the error, the joint does not move; a roll joint at the tip, for example, does not change a
+                # If neither trial lowers the error, the joint stays. A roll joint at the tip, for example, cannot change a
                 # position.
                 if value < least - ROUNDING:
                     least = value

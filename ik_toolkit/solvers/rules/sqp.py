@@ -15,7 +15,7 @@ from .jacobian import FLOOR
 
 
 def posture_groups(starts: np.ndarray) -> np.ndarray:
-    """Return configurations (N, n) reordered so that rows k, k + BEST, k + 2 BEST, ... hold similar postures, for k < BEST.
+    """Reorder start configurations (N, n) so that rows k, k + BEST, k + 2 BEST, ... hold similar postures, for each k < BEST.
 
     The groups come from repeated halving at the median of the joint that varies most.
     """
@@ -28,7 +28,7 @@ def posture_groups(starts: np.ndarray) -> np.ndarray:
 
 @compiled
 class Tolerances(NamedTuple):
-    """The two tolerances that a problem reads when its target is set (`aim`)."""
+    """The two tolerances that the compiled search needs when a target is set (`aim`)."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]
@@ -36,13 +36,15 @@ class Tolerances(NamedTuple):
 
 @compiled
 class LevelStep(NamedTuple):
-    """The compiled step of SQP: the errors of level 0 have the highest priority, those of level 1 the next, and so on."""
+    """The compiled step of SQP: one step that reduces errors in order of priority, level 0 first, then level 1, and so on."""
 
-    # number of attempts with all errors at one level, then the level of the position and the orientation of each tip (2 F,)
+    # First the number of attempts that take all errors at one level. Then, for each of F tips, the priority levels of its position
+    # and its orientation (2 F,); 0 is the highest.
     numbers: Array
 
     def aimed(self, p, T, orders):
-        # Only a position at level 0 proves a target out of reach: that proof needs no orientation.
+        # A target counts as out of reach only if a position at level 0 is: the bound on the reach does not depend on the
+        # orientation.
         return p.exact(p.aim(T, Tolerances(orders.tol_p, np.inf)), self.numbers[1:])
 
     def evaluated(self, p, q):
@@ -56,7 +58,8 @@ class LevelStep(NamedTuple):
         if int(p.desk.spent[2]) == PHASE.at_once:
             p.damped(e, QUADRATIC.damping * e.ee + FLOOR)
             return 0
-        # Once the errors of level 0 are in tolerance they are a constraint, even if the target was judged out of reach before.
+        # Once the errors of level 0 are within tolerance, the step keeps them there as a constraint, even if the target had been
+        # judged out of reach before.
         return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == PHASE.out_of_reach and not e.ee < 0.0)
 
     def seek(self, p, job, excess):
@@ -79,7 +82,7 @@ class SQP(NamedTuple):
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray:
         """Return configurations (M, n) [rad or m] at which attempts begin, in groups of similar postures.
 
-        Similar starts often lead to the same minimum.
+        Attempts take one start from each group in turn, because similar starts often lead to the same minimum.
         """
         chain = robot.chain
         box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
@@ -103,11 +106,11 @@ class SQP(NamedTuple):
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the array that is the field `numbers` of the compiled step `LevelStep`."""
+        """Return the numbers that the compiled step `LevelStep` reads: its field `numbers`, as an array."""
         assert asked is not None
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
         if counted <= robot.n:
             plain = QUADRATIC.at_once
-        else:  # asked.rows computes Jacobians and singular values, which takes time
+        else:  # only here, because asked.rows computes Jacobians and singular values, which takes time
             plain = QUADRATIC.at_once_few if asked.rows <= robot.n else 0
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)

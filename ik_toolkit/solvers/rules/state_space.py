@@ -21,27 +21,28 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
-# For each system of units: units of error per metre, and radians per unit of joint increment.
+# For each system of units in which matrices may be given: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# The array `numbers` of Maps begins with HEAD numbers: how many states and how many linear maps (B, D) there are, and two flags:
-# whether D exists, and whether each step chooses a map.
+# The array `numbers` of the compiled step (`Maps`) begins with HEAD numbers: the number of states, the number of linear maps (B,
+# D), and two flags: whether there is a D, and whether each step chooses its map anew.
 HEAD = 4
-C_FIXED = -0.05  # C need not be tuned, because (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
-SETTLED = 1e-13  # a state that changes by less than this in a step counts as settled
+# C is not tuned but C_FIXED times the identity, because (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver for any T.
+C_FIXED = -0.05
+SETTLED = 1e-13  # the state has settled if no component of it changes by more than this in a step
 
 
 class MapDesign(NamedTuple):
-    """Constants of the solver designed for a robot if no matrices are given: many starts, each with a linear map (B, D)."""
+    """Constants of the solver that is designed for a robot if the user gives no matrices: many starts, each with matrices B, D."""
 
-    maps: int = 128  # Number of starts of the designed solver.
-    tuned_maps: int = 32  # Number of starts of a tuned solver.
-    samples: int = 4096  # Number of configurations from which the starts are picked.
-    # Jacobians are averaged within +- this share of a joint's range, and at most radius [rad, or length over the reach].
+    maps: int = 128  # number of starts, each with its matrices, of the solver that is designed for a robot
+    tuned_maps: int = 32  # number of starts that `ik tune` tunes by default
+    samples: int = 4096  # number of random configurations from which the starts are picked
+    # The Jacobian is averaged around each start: joints vary by +- `spread` of their range, at most `radius` [rad, m over reach].
     spread: float = 0.15
     radius: float = 0.3
-    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, whose columns are scaled by joint ranges.
-    position_gain: float = 0.9  # Loop gain kappa (see the top) at a start, for positions; at 2 the step is unstable.
-    pose_gain: float = 0.6  # Loop gain kappa at a start, for poses.
+    damping: float = 0.1  # damping of the inverse of the averaged Jacobian, its columns multiplied by the joint ranges
+    position_gain: float = 0.9  # share of an error that a step removes, for position targets; diverges at 2
+    pose_gain: float = 0.6  # share of an error that a step removes, for pose targets
 
 
 DESIGN = MapDesign()
@@ -49,12 +50,13 @@ DESIGN = MapDesign()
 
 @compiled
 class Maps(NamedTuple):
-    """The compiled step of Algorithm II; a map is the pair of matrices (B, D) that belongs to one start.
+    """The compiled step of Algorithm II, the state-space solver; a map is the pair of matrices (B, D) that belongs to one start.
 
-    In p.desk.x it keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
+    Between steps, p.desk.x keeps the state x (2 n numbers), the next state (2 n), and the number of the map in use (from 1 on).
     """
 
-    numbers: Array  # HEAD numbers, then 1 / (2 pi) or 0 for each joint, A, C, and the start, B and D of each map
+    # HEAD numbers; for each joint 1 / (2 pi) if its values count modulo 2 pi, else 0; A; C; start, B and D of each map
+    numbers: Array
 
     JACOBIAN = False
 
@@ -112,13 +114,13 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # The state may still change while all joints rest at their limits, so this does not count as a stall.
+        # The solver has not stalled while its state still changes, even if all joints rest at their limits.
         return WAITING if changed > SETTLED else 0
 
 
 @rule(step=Maps)
 class StateSpace(NamedTuple):
-    """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, where dq is taken before x absorbs e.
+    """Algorithm II, a linear state-space solver: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0.
 
     The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
     limits; the state is not changed. If q0 is given, each step uses B and D of the start nearest the current q. Without
@@ -156,7 +158,7 @@ class StateSpace(NamedTuple):
         return cls(**values)._replace(tuned=options)
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
-        """Return the solver itself or, if it has no matrices, the one designed for the robot, which is stored with the robot."""
+        """Return this solver if it has matrices, else the one designed for the robot, which is computed once for each robot."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
         key = ("state-space design", position_only)
@@ -170,7 +172,7 @@ class StateSpace(NamedTuple):
     def space(
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
-        """Return what `ik tune` searches, from the rule `initial` on: with maps=1 one start and the published matrices.
+        """Return the parameters that `ik tune` searches, starting from `initial`: with maps=1 one start, and matrices A and B.
 
         With more maps (default 32) it searches their starts, with matrices designed for these, and a gain.
         """
@@ -264,7 +266,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
     J[:, :3] /= chain.scale
-    if not position_only:  # The kernel's own table of starts gives the orientation the same weight.
+    if not position_only:  # with the weight of the orientation in the table of starts that other solvers use
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
     cell = np.zeros(len(Q), dtype=int)
@@ -305,7 +307,7 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
-    weight = np.minimum(width, 2.0 * chain.unit)  # With these weights joints move in proportion to their range.
+    weight = np.minimum(width, 2.0 * chain.unit)  # With these weights, joints move in proportion to their range.
     W = J * weight
     inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
@@ -318,7 +320,8 @@ def _one_map(robot: Any, position_only: bool, initial: StateSpace | None) -> Spa
     """Return the parameters of the published structure: A = a I, B, C = -0.05 I, literal delay, one start."""
     n, scale, unit = robot.n, robot.chain.scale, robot.chain.unit
     start = robot.home[None]
-    if initial is None:  # With a = -0.5 and a loop gain of 0.5625 both poles are at 0.25.
+    # Tuning begins at a = -0.5 and a loop gain of 0.5625, with which both poles of the loop are at 0.25, so errors die out fast.
+    if initial is None:
         B = 0.5625 / C_FIXED * inverse_maps(robot, start, position_only)[0]
         initial = StateSpace(A=-0.5 * np.eye(n), B=B, C=C_FIXED * np.eye(n), starts=start)
     a, B = _plain(initial, n)
