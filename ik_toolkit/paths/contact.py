@@ -267,7 +267,7 @@ def _between(
 
 SECONDS = 2.0  # [s] time limit of the search for a free motion in `connect`
 NODES = 20_000  # largest number of random points; on a fast machine it may end the search before the time limit
-STEP = 0.25  # longest step with which a search tree grows towards a random point [rad, or length over the reach]
+STEP = 0.25  # longest step with which a search tree grows towards a random point [rad, or length / reach]
 SHORTCUTS = 60  # number of random attempts to replace a part of the motion found by a straight move
 ALONG = 5_000  # largest number of collision tests for one straight joint move
 

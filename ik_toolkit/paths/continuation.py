@@ -130,7 +130,7 @@ def advance_to_pose(p, o, weights, path, t, u, last, old, new):
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
-    Each solution is followed as far as it goes. Joint values are in rad, or lengths over the reach. rows, ends, orders: the robot
+    Each solution is followed as far as it goes. Joint values are in rad, or lengths / reach. rows, ends, orders: the robot
     and the options as arrays, from a Plan with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit,
     upper limit, and 1 where both are finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m],
     [rad] a tip may leave the interpolated pose halfway between two poses.
@@ -180,7 +180,7 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
 MOST = 4096  # largest number of tracks (continued solutions), to bound time and memory
 STARTS = 1000  # number of random starts from which a pose is solved
 POOL = 400  # number of solutions of a redundant robot from which widely spaced ones are chosen
-SAME = 1e-3  # Solutions count as the same if all their joints differ by less [rad, or length over the reach].
+SAME = 1e-3  # Solutions count as the same if all their joints differ by less [rad, or length / reach].
 THIN = 0.25  # least distance of a new track of a redundant robot from the others, as a share of the largest joint step
 CHUNK = 8  # number of tracks that a thread continues in one task
 
@@ -212,7 +212,7 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
 class Tracks:
     """Solutions continued along the N poses of a path, called tracks.
 
-    Q (N, size or more, n) [rad, or length over the reach; float32] holds their configurations; track k exists from pose number
+    Q (N, size or more, n) [rad, or length / reach; float32] holds their configurations; track k exists from pose number
     span[k, 0] to pose span[k, 1] inclusive. `size` is the number of tracks.
     """
 
@@ -228,7 +228,7 @@ class Tracks:
     span = property(lambda self: self._span[: self.size])
 
     def at(self, t: int) -> np.ndarray:
-        """Return the configurations (m, n) [rad, or length over the reach] at pose number t of all tracks that exist there."""
+        """Return the configurations (m, n) [rad, or length / reach] at pose number t of all tracks that exist there."""
         span = self.span
         return self._Q[t, : self.size][(span[:, 0] <= t) & (t <= span[:, 1])].astype(float)
 
@@ -273,7 +273,7 @@ class Tracks:
         return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Start a track from each of the solutions `seeds` (M, n) [rad, or length over the reach] at the poses numbered `at` (M,).
+        """Start a track from each of the solutions `seeds` (M, n) [rad, or length / reach] at the poses numbered `at` (M,).
 
         Each solution is continued along the path in both directions. Seeds beyond the largest number of tracks are dropped.
         """

@@ -181,7 +181,7 @@ def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarra
     """Return whether (N, K) each of the K tracks Q (N, K, n) exists at each of N poses and keeps the joint limits there.
 
     A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n): lower and
-    upper; joints (n,): which joints must keep them. All in internal units (rad, lengths over the reach).
+    upper; joints (n,): which joints must keep them. All in internal units (rad, lengths / reach).
     """
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
@@ -220,7 +220,7 @@ def unwound(
     ends: tuple[np.ndarray | None, np.ndarray | None],
     fixed: list[bool],
 ) -> set[int]:
-    """Choose multiples of 2 pi for the joints `free` (n,) along a path q (N, n) [rad, or length over the reach], in place.
+    """Choose multiples of 2 pi for the joints `free` (n,) along a path q (N, n) [rad, or length / reach], in place.
 
     Reconfigurations, and poses that are not reached (rows of NaN), separate continuous pieces. Each continuous piece is unwrapped
     and shifted by 2 pi k inside its limits, nearest the end of the previous piece; the first piece is put nearest ends[0], or

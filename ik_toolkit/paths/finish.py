@@ -51,7 +51,7 @@ class ProvenMotion(NamedTuple):
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Correct configurations q (N, n) [rad, or length over the reach] onto their poses; return them [rad or m]. NaN stays NaN."""
+    """Correct configurations q (N, n) [rad, or length / reach] onto their poses; return them [rad or m]. NaN stays NaN."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
     # The search stores configurations in single precision, so the exact values of held joints are restored here.

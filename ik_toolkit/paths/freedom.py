@@ -14,7 +14,7 @@ from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part, free_axis, what_counts
 
 SAMPLES = 8  # number of random configurations whose Jacobians are examined
-# Singular values of the Jacobian (lengths over the reach) below this count as zero, because robot descriptions hold rounded
+# Singular values of the Jacobian (lengths / reach) below this count as zero, because robot descriptions hold rounded
 # numbers.
 FLAT = 1e-5
 

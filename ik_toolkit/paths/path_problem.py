@@ -91,7 +91,7 @@ class Problem:
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
         """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m]; if none converges, search as `Solver` does.
 
-        Returns the solutions found (m, n) [rad, or length over the reach], with revolute joints shifted by 2 pi k to be nearest the
+        Returns the solutions found (m, n) [rad, or length / reach], with revolute joints shifted by 2 pi k to be nearest the
         middle of their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
         """
         single, n = self.single, self.robot.n
@@ -110,7 +110,7 @@ class Problem:
         return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [rad, or length over the reach] with revolute joints shifted by 2 pi k to be nearest mid-range."""
+        """Return Q (m, n) [rad, or length / reach] with revolute joints shifted by 2 pi k to be nearest mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False
@@ -125,7 +125,7 @@ class Problem:
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Correct Q (m, n) [rad, or length over the reach] onto poses number t (m,); return Q, and whether (m,) each is reached."""
+        """Correct Q (m, n) [rad, or length / reach] onto poses number t (m,); return Q, and whether (m,) each is reached."""
         rows, good = settle_on_targets(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good
 
@@ -138,7 +138,7 @@ class Minima(NamedTuple):
     attempts: int = 20  # attempts at each pose, to test whether an arm of few joints reaches all of them
     # largest number of configurations at the first pose (local minima of the errors) that are followed along the path
     followed: int = 20
-    # [rad, or length over the reach] If a joint moves further between two poses, it has changed to another branch of solutions.
+    # [rad, or length / reach] If a joint moves further between two poses, it has changed to another branch of solutions.
     jump: float = 0.5
 
 

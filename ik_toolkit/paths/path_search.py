@@ -65,7 +65,7 @@ def _within(best: tuple[int, int], allowed: float) -> bool:
 
 
 class Found(NamedTuple):
-    """A path found: q (N, n) [rad, or length over the reach], tracks (N,); NaN and -1 at poses that it does not pass.
+    """A path found: q (N, n) [rad, or length / reach], tracks (N,); NaN and -1 at poses that it does not pass.
 
     breaks: poses after which it reconfigures; contacts: number of poses at which it is in contact.
     """
@@ -97,7 +97,7 @@ class Search:
     ) -> None:
         """Store the arguments of a search.
 
-        model: a CollisionModel or None; q0, q_end (n,) [rad, or length over the reach] or None: start and end of the path, or
+        model: a CollisionModel or None; q0, q_end (n,) [rad, or length / reach] or None: start and end of the path, or
         configurations near them; seed: number that fixes the random starts; progress: function of a share (0 to 1) and a text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
@@ -111,7 +111,7 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        # all solutions (N, K, n) of the poses [rad, or length over the reach], and whether (N,) they are proven to be all; or None
+        # all solutions (N, K, n) of the poses [rad, or length / reach], and whether (N,) they are proven to be all; or None
         self.listing, self.legal = self.list_solutions()  # legal (N, K): which of these solutions keep the joint limits
         self.copied: set[int] = set()  # joints with a range above 2 pi in which tracks are copied with shifts by 2 pi
         self.wound = problem.endless
@@ -155,7 +155,7 @@ class Search:
         return tracks.size - before
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
-        """Return the first `count` of the configurations seeds (m, n) [rad, or length over the reach] that are free of contact.
+        """Return the first `count` of the configurations seeds (m, n) [rad, or length / reach] that are free of contact.
 
         If all are in contact, return the first quarter of `count`, so that a path in contact can still be found.
         """
@@ -187,7 +187,7 @@ class Search:
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
-        """Return whether q (n,) [rad, or length over the reach] reaches pose number t."""
+        """Return whether q (n,) [rad, or length / reach] reaches pose number t."""
         moved, good = self.problem.settled(q[None], np.array([t]))
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
@@ -347,7 +347,7 @@ class Search:
         return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return whether (N, K) each of the solutions Q (N, K, n) [rad, or length over the reach] lies on a track, modulo 2 pi."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [rad, or length / reach] lies on a track, modulo 2 pi."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):

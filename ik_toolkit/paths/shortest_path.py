@@ -98,7 +98,7 @@ def link_layers(
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
-    Q (N, K, n): configurations of the tracks [rad, or length over the reach]
+    Q (N, K, n): configurations of the tracks [rad, or length / reach]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
@@ -163,7 +163,7 @@ def layers_before(state: np.ndarray) -> np.ndarray:
     return np.append(-1, np.maximum.accumulate(last)[:-1])
 
 
-LONG = 1e3  # cost of a step longer than allowed [rad, or length over the reach], more than the length of any path
+LONG = 1e3  # cost of a step longer than allowed [rad, or length / reach], more than the length of any path
 # cost of a reconfiguration, besides being counted; the joint move that it takes is not part of the path and costs nothing
 LEAP = 1.0
 # extra cost of an untested state between two states in contact on its track, so that it is used only if nothing else is left
@@ -176,7 +176,7 @@ COARSE = 16  # After a first contact every track is tested at every 16th pose.
 class Program:
     """The dynamic program over K tracks and N poses; a track is one solution continued along the poses.
 
-    Q (N, K, n): configurations of the tracks [rad, or length over the reach], of which track k exists from pose span[k, 0] to
+    Q (N, K, n): configurations of the tracks [rad, or length / reach], of which track k exists from pose span[k, 0] to
     span[k, 1]. state (N, K): what is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of
     reconfigurations and cost that a path pays for beginning, or ending, on each track.
     """

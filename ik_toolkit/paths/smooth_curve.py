@@ -26,7 +26,7 @@ from .freedom import off_the_poses
 
 ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
 LEAST = 1e-9  # neighbouring rows of a curve whose joints all differ by less are merged [rad or m]
-# largest move of a joint between two points at which a spline is examined [rad, or length over the reach]
+# largest move of a joint between two points at which a spline is examined [rad, or length / reach]
 FINE = 0.0125
 FEWEST, MOST = 4, 64  # least and largest number of examined points between two rows
 # A pose at which the path turns by more than this angle [rad] is a corner, not a sample of a smooth curve.

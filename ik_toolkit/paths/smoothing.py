@@ -25,12 +25,12 @@ from ..kernel.vectors import largest
 TASK_WEIGHT = 1e7
 # added to the diagonal, so that the system is positive definite even for joint values that no cost depends on
 RIDGE = 1e-9
-ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.
+ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths / reach), which is rounding.
 PASSES = 4  # largest number of times that a step is computed, each time with more joints held at their limits
 GAIN = 1e-4  # The iteration ends when a full step improves the cost by less than this share.
 GROW, SHRINK = 1.6, 0.3  # factors on the largest allowed joint move after an accepted and after a rejected step
-SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad, or length over the reach].
-ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad, or length over the reach].
+SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad, or length / reach].
+ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad, or length / reach].
 
 
 class PathPrice(NamedTuple):
@@ -38,7 +38,7 @@ class PathPrice(NamedTuple):
 
     first: float
     second: float
-    # length below which a joint's step counts by its square, see `cost_of` [rad, or length over the reach]
+    # length below which a joint's step counts by its square, see `cost_of` [rad, or length / reach]
     rounding: float
 
 
@@ -59,7 +59,7 @@ def path_problem(rows, ends, orders, n, block):
 
 @inner
 def cost_of(Q, price, longest):
-    """Return the cost of a path Q (N, n) [rad, or length over the reach], and its largest joint step over `longest` (n,).
+    """Return the cost of a path Q (N, n) [rad, or length / reach], and its largest joint step over `longest` (n,).
 
     The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short
     ones.

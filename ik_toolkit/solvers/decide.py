@@ -61,7 +61,7 @@ class DecisionMargins(NamedTuple):
     beside: float = 3.0
     # With a tolerance above `loosest` the elimination is not asked: from 5 mm on, poses within the tolerances were found although
     # the exact pose had no solution.
-    loosest: float = 5e-4  # [rad, or lengths over the reach]
+    loosest: float = 5e-4  # [rad, or lengths / reach]
 
 
 MARGINS = DecisionMargins()

@@ -29,9 +29,9 @@ ONE_ATTEMPT: dict[str, Any] = {
 class SearchThresholds(NamedTuple):
     """Thresholds of the numerical search for all solutions of a target; angles in rad, lengths divided by the robot's reach."""
 
-    # two solutions are the same if no joint differs by more than `same` [rad, or length over the reach]
+    # two solutions are the same if no joint differs by more than `same` [rad, or length / reach]
     same: float = 1e-3
-    # tolerance to which each solution is computed [rad, or length over the reach]; with 1e-6, equal solutions near singular poses
+    # tolerance to which each solution is computed [rad, or length / reach]; with 1e-6, equal solutions near singular poses
     # would differ too much to be merged
     tight: float = 1e-9
     # along a direction of the Jacobian with a singular value below `flat`, the arm may move while the tip stays (self-motion)

@@ -20,7 +20,7 @@ from .task import all_errors, counted_rows, what_counts
 ATTEMPTS = 20
 # weight of the orientation error while the position of a failed pose is searched for; small, so that position comes first
 FAINT = 1e-3
-NEAR = 1e-4  # [length over the reach] position error at which the search for the position of a failed pose ends
+NEAR = 1e-4  # [length / reach] position error at which the search for the position of a failed pose ends
 
 ADVICE = {
     Status.CONVERGED: "",

@@ -19,7 +19,7 @@ PLAIN: dict[str, Any] = {
 MAX_ITERATIONS = 1_000_000  # upper bound on the value of the option max_iterations
 # A solve with a timeout runs in pieces and reads the clock after each. The first has SLICE evaluations, which take about 0.25 ms.
 SLICE = 256
-FOLLOW = 0.5  # [rad, or length over the reach] with the option follow=True no joint may move farther than this from q0
+FOLLOW = 0.5  # [rad, or length / reach] with the option follow=True no joint may move farther than this from q0
 WORDS = {
     "objective": ("mid-range", "reference", "manipulability"),
     "q0_outside": ("clamp", "refuse"),

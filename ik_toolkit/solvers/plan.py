@@ -339,7 +339,7 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
 def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
     """Return the arrays of a chain or tree (rows, ends, starts, features of the starts) with another table of starts.
 
-    rows, ends: as the chain has them; seeds (N, n): the new starts [rad, or length over the reach].
+    rows, ends: as the chain has them; seeds (N, n): the new starts [rad, or length / reach].
     """
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)

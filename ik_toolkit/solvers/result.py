@@ -23,7 +23,7 @@ from .task import all_errors, group_levels
 
 # A singular value of the Jacobian (lengths over the robot's length scale) below SINGULAR times the largest counts as 0.
 SINGULAR = 1e-8
-# [rad, or length over the reach] The result of a `Solver` gets a notice if a joint moved farther than FAR_MOVE from q0.
+# [rad, or length / reach] The result of a `Solver` gets a notice if a joint moved farther than FAR_MOVE from q0.
 FAR_MOVE = 0.5
 
 

@@ -12,7 +12,7 @@ def fits(robot: Any, kind: int) -> str | None:
 def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     """Return the name of the closed form that fits a robot, and by how much the robot's axes deviate from what it assumes; or None.
 
-    kind: the kind of target (KIND.pose or KIND.position). The deviation is an angle [rad] or a length over the reach. The result
+    kind: the kind of target (KIND.pose or KIND.position). The deviation is an angle [rad] or a length / reach. The result
     is stored with the robot for later calls.
     """
     if "closed forms" not in robot.memo:

@@ -18,10 +18,10 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import SIZE, Answer, Ends, Orders, read, write
 
-# A robot fits a closed form exactly if its axes deviate by less than FIT [rad, or length over the reach] from what the form
+# A robot fits a closed form exactly if its axes deviate by less than FIT [rad, or length / reach] from what the form
 # assumes.
 FIT = 1e-9
-# A robot does not fit a closed form if its axes deviate by more than NEAR [rad, or length over the reach] from what the form
+# A robot does not fit a closed form if its axes deviate by more than NEAR [rad, or length / reach] from what the form
 # assumes. Robot files written with five digits are off by up to 1e-4, and Newton steps correct that.
 NEAR = 1e-4
 SNAP = 1e-9  # [rad or m] a joint value that exceeds a limit by less than this is put on the limit
@@ -33,7 +33,7 @@ class Fit(NamedTuple):
     # the numbers (link lengths, axes, ...) from which the closed form computes; empty if the chain does not fit
     parameters: np.ndarray
     reason: str  # The reason why the chain does not fit, or ''.
-    off: float  # By how much the axes deviate from what the form assumes [rad, or length over the reach].
+    off: float  # By how much the axes deviate from what the form assumes [rad, or length / reach].
 
 
 def no_fit(reason: str) -> Fit:

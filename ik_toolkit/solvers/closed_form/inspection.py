@@ -76,7 +76,7 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # pairs of a deviation [rad, or length over the reach] from the assumed geometry, and a message about it
+    off = []  # pairs of a deviation [rad, or length / reach] from the assumed geometry, and a message about it
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))

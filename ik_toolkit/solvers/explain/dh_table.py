@@ -15,7 +15,7 @@ from .layout import Block, Sentence, Table, Variable, decimals, digits
 # Two joint axes count as parallel if the sine of the angle between them is below SAME, and as meeting if their distance over the
 # reach is.
 SAME = 1e-7
-AGREES = 1e-6  # [rad, or length over the reach] largest difference allowed between table and robot
+AGREES = 1e-6  # [rad, or length / reach] largest difference allowed between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:

@@ -91,7 +91,7 @@ def outside_limits(robot: Any, q: np.ndarray) -> tuple[str, ...]:
 
 
 def nearest_branch(robot: Any, branches: Sequence[Branch], q: np.ndarray) -> tuple[int, float]:
-    """Return the index of the branch nearest q (n,) [rad or m], and by how much [rad, or length over the reach] it differs at most.
+    """Return the index of the branch nearest q (n,) [rad or m], and by how much [rad, or length / reach] it differs at most.
 
     If there is no branch, returns 0 and infinity.
     """
