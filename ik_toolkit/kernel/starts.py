@@ -58,7 +58,7 @@ class StartTable(NamedTuple):
     # whose indices differ by multiples of BEST form a group; the nearest one of each group is a start.
     features: Array
     score: Array  # (N,) squared distance of each configuration from the target
-    val: Array  # (BEST,) least squared distance in each group, in the order of `best`
+    val: Array  # (BEST,) squared distance of the nearest configuration of each group, in the order of `best`
     best: Array  # (BEST,) the rows to start from (for one tip) or the groups to start from (for several tips), nearest first
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group

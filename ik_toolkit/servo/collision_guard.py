@@ -234,7 +234,10 @@ class Guard:
 
     @property
     def most(self) -> np.ndarray:
-        """Largest change (n,) of joint rates per second [rad/s^2 or m/s^2] that keeps acceleration limits throughout a step."""
+        """Largest change (n,) of joint rates from step to step, per second [rad/s^2 or m/s^2], that keeps the acceleration limits.
+
+        It is below the limits where joints accelerate more inside a step than from one to the next.
+        """
         return self.limits[LIMIT.acceleration] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:

@@ -210,8 +210,8 @@ def exchange(p, dependent, newest):
     """Return which active constraint to drop for a new one that depends linearly on the active ones, or NONE.
 
     NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are updated for the exchange.
-    `dependent` is the inequality that is a linear combination of active constraints. The new constraint is this inequality itself,
-    or a bound in the combination.
+    `dependent` is an inequality whose row is a linear combination of the rows of other constraints. Either it is the new constraint
+    and the others are active, or it is active and the new constraint is a bound among the others.
     """
     parts(p, dependent)
     own, side = p.new.first[newest], p.active[newest]

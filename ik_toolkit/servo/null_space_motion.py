@@ -35,7 +35,7 @@ class SlackRules(NamedTuple):
     # excess may be rounding.
     beyond: float = 1e-3
     far: float = 1e-2
-    pressed: float = 0.1  # [s] time after which the inequalities that keep errors within their slack are tried again
+    pressed: float = 0.1  # [s] how long errors that left their slack are closed like errors without slack
 
 
 SLACK = SlackRules()

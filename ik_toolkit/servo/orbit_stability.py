@@ -21,7 +21,7 @@ from .command import SHARE
 
 
 class Sampling(NamedTuple):
-    """Constants that set how a path is sampled and followed to compute the product of its steps."""
+    """Constants that set how a path is sampled and followed, to find how an error grows from one end to the other."""
 
     # logarithm above which a growth factor is cut off; a little less than that of the largest float
     largest: float = 700.0
@@ -133,7 +133,10 @@ class PathMotion:
         raise InvalidTarget(f"reference '{self.reference.name}' cannot be followed at t = {at:g} s{few}")
 
     def sampled(self, h: float) -> tuple[JacobianDerivatives, OrbitState]:
-        """Return the Jacobians at samples h [s] apart, and joints and target in the steps between them. Raises InvalidOption."""
+        """Follow the path in samples h [s] apart; return the Jacobians there, and the rates and errors of the steps between them.
+
+        Raises InvalidOption if a step is longer than the path, or the samples are too many.
+        """
         if self._last[0] == h:
             return self._last[1]
         times = self.reference.times(h)

@@ -262,9 +262,9 @@ class Deciding(Plan):
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Decide the targets that the short search left unsolved by elimination, and change their result rows in `out` (N, width).
+        """Decide by elimination which of the targets left open by the short search can be solved; update their rows in `out`.
 
-        T (N, 4, 4): the targets; kinds, start, given: as for `Plan.run`.
+        out (N, width): result rows; T (N, 4, 4): the targets; kinds, start, given: as for `Plan.run`.
         """
         (left,) = np.nonzero((out[:, AT.status, None] == self.open).any(axis=1))
         if len(left):

@@ -37,7 +37,7 @@ class JointLoop(NamedTuple):
     axes: Array  # (6, 6) the joints' axes at q = 0, one a row
     X: Array  # (12,) the pose X = E1(q1) ... E6(q6) to reach: rotation matrix by rows, then translation
     J: Array  # (6, 6) twist of each joint at q, one a column: linear, then angular
-    B: Array  # (6, 6) the inverse of J, with its columns permuted
+    B: Array  # (6, 6) the inverse of J but for the order of its columns: only its norm is needed
     swaps: Array  # (12,) for each k, the row that was exchanged with row k when J was factored
     error: Array  # (6,) the motion that is left to the pose X, as a twist: linear, then angular
     q: Array  # (6,) joint values
@@ -187,9 +187,8 @@ def least_gain(loop):
     """
     J, B, total = loop.J, loop.B, 0.0
     lu_factor(J, loop.swaps, 6, TRUST.faint)
-    for i in range(
-        6
-    ):  # First step of the inversion: B = L^-1. The exchanges of rows are left out, as they do not change its norm.
+    # First step of the inversion: B = L^-1. The exchanges of rows are left out, as they do not change its norm.
+    for i in range(6):
         for j in range(6):
             B[i, j] = 1.0 if i == j else 0.0
         for k in range(i):

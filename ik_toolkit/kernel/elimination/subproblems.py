@@ -46,7 +46,7 @@ class Sum(NamedTuple):
         return self.k + self.a * c + self.b * s
 
     def drift(self, c, s, error):
-        """Return a bound on the error of the value at the angle with cosine c and sine s, if the angle is off by `error` [rad]."""
+        """Return a bound on the error of k + a c + b s if the angle, with cosine c and sine s, is off by `error` [rad]."""
         return error * (abs(self.b * c - self.a * s) + error * self.swing())
 
     def swing(self):

@@ -137,7 +137,7 @@ class Form(NamedTuple):
     shift: float  # how many joints after the first one the reordered loop begins
     rank: float  # rank of the coefficients of the 8 products of cos and sin of joints 1 and 2
     degree: float  # degree of the determinant as a trigonometric polynomial
-    largest: float  # largest value of the determinant at a target, as the median over random targets
+    largest: float  # scale of the determinant: its largest value over a turn of joint 3, median over random targets
 
 
 class Notes(NamedTuple):

@@ -87,7 +87,7 @@ def _below(ax: Any, runs: Mapping[str, Any]) -> None:
 
 
 def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Draw Figs. 5 to 8 with a column for each set of gains: the tip's path in its first lap [s] above, its error below.
+    """Draw Figs. 5 to 8 with a column for each set of gains: the tip's path in its first lap above, its error over time [s] below.
 
     Of the unstable set only half a lap is drawn.
     """

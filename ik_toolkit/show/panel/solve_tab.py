@@ -131,7 +131,7 @@ class SolutionsTab:
         self.ghost(None)
 
     def show(self, details: str) -> None:
-        """List the session's solutions below a line of details."""
+        """List the session's solutions in the panel, below the line `details`."""
         self.table.content = note_html(details) + self.rows()
         self.number.value = 1
         self.folder.visible = bool(self.session.solutions)
