@@ -89,8 +89,9 @@ def chosen_poses(
     picked: list[int] = []
 
     def best(M: np.ndarray) -> int:
-        L = np.linalg.solve(M + 1e-9 * np.eye(len(M)), np.swapaxes(J, 1, 2))
-        gain = np.linalg.slogdet(np.eye(J.shape[1]) + J @ L)[1]
+        # One system with all rows on its right side: a system for each candidate would factor the same matrix for each.
+        L = np.linalg.solve(M + 1e-9 * np.eye(len(M)), J.reshape(-1, len(M)).T).T.reshape(J.shape)
+        gain = np.linalg.slogdet(np.eye(J.shape[1]) + J @ np.swapaxes(L, 1, 2))[1]
         gain[picked] = -np.inf
         return int(gain.argmax())
 
