@@ -33,6 +33,7 @@ def test_time_gives_way_before_the_path(panda, method, acceleration):
     across = run.xyz - run.xyz[0]
     assert np.abs(across[:, [0, 2]]).max() < 1e-3
     assert (np.diff(run.clock) >= 0.0).all() and (run.sigma >= 0.0).all() and (run.sigma <= 1.0).all()
+    assert np.cumsum(run.sigma) * run.dt == pytest.approx(run.clock[1:], abs=1e-12)
     # Where no joint is named the clock is slower for the tolerance, as a run before was off there.
     assert run.pace_joint in run.message and (run.pace[run.sigma < 0.9] >= 0).mean() > 0.7
     speed = np.abs(np.diff(run.q, axis=0)) / run.dt
