@@ -230,7 +230,7 @@ class Step:
             doubted = o.lag > 1.0 and not o.resynced
             what = "the target is not finite" if not o.finite else doubt if doubted else "the step is not finite"
             return "; ".join([*parts, f"{what}: braking and holding"])
-        if status is StepStatus.FOLLOWING_ERROR:
+        if o.lag > 0.5 and not o.resynced:  # said whatever the status: a move to another posture goes before it
             parts.append(unread or "the measured joints are far from the commanded ones")
         if self.position_error > FAR_AWAY * o.by.robot.reach:
             parts.append("were millimetres meant?")

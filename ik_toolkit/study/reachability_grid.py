@@ -1,6 +1,7 @@
 """The cells of a map of reach, and the poses asked for at their centres."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -182,7 +183,7 @@ def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
                 f"orientations must be 'any', a number of tool axes, or rotations, not '{orientations:.60}'"
             )
         return None, False
-    if np.ndim(orientations) == 0:
+    if not isinstance(orientations, Iterable) or getattr(orientations, "ndim", 1) == 0:
         count = whole(orientations, "the number of orientations")
         if count > MOST_AXES:
             raise InvalidOption(f"at most {MOST_AXES:,} tool axes are asked for at each place, not {count:,}")

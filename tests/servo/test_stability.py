@@ -187,6 +187,14 @@ def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
         assert not st.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
 
 
+@pytest.mark.parametrize("method, delay, gains", [("cv", 0.5, {"kappa": 1.0}), ("ca", 0.1, {"kp": 5.0, "kd": 1.0})])
+def test_a_delay_of_part_of_a_sample_may_allow_longer_steps_than_none(method, delay, gains):
+    longest = ik.check_gains(method, 0.01, delay=delay, **gains).longest_step
+    assert longest > 1.05 * ik.check_gains(method, 0.01, **gains).longest_step
+    assert ik.check_gains(method, 0.999 * longest, delay=delay, **gains).stable
+    assert not ik.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
+
+
 @pytest.mark.parametrize(
     "method, delay", [("cv", 0), ("cv", 2), ("ca", 0), ("ca", 2), ("aad", 0), ("av", 0), ("av", 2)]
 )
