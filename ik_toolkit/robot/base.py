@@ -282,6 +282,19 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
     return BasedModel(made, None if made is model else model, given, tuple(names), slides)
 
 
+def describes(drawn: pin.Model, model: pin.Model, names: Sequence[str]) -> bool:
+    """Return whether `drawn`, the model of a URDF, has the same joints and frames as `model`, and the frames `names`.
+
+    `model` may have further frames, such as those that a program has added to it.
+    """
+
+    def parts(one: pin.Model) -> list[list[Any]]:
+        frames = one.frames.tolist()[: drawn.nframes]
+        return [list(one.names), one.joints.tolist(), one.jointPlacements.tolist(), frames]
+
+    return parts(drawn) == parts(model) and all(drawn.existFrame(name) for name in names)
+
+
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
     """Attach the shapes of `geometry`, in place, to the links of `model` that have the names of their links in `original`."""
     for shape in geometry.geometryObjects:

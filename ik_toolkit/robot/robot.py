@@ -17,7 +17,7 @@ from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNo
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
-from .base import on_own_base, put_joint
+from .base import describes, on_own_base, put_joint
 from .configuration import near_joint, simple_joints, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
@@ -311,6 +311,11 @@ class Robot(Joints):
         rotation = pin.log3(T.rotation.T @ target[:3, :3])
         return math.hypot(*(target[:3, 3] - T.translation).tolist()), math.hypot(*rotation.tolist())
 
+    def _is_described(self) -> bool:
+        """Return whether the URDF describes the model, which may have been given beside it, with other joints or lengths."""
+        model = self.model if self._original is None else self._original
+        return self.urdf is not None and describes(build_model(self.urdf), model, (self.base, self.tip))
+
     def _variant(self) -> "Robot":
         """Return a copy that shares the model and has none of the caches."""
         other = Robot.__new__(Robot)
@@ -351,17 +356,16 @@ class Robot(Joints):
     write = write_urdf  # writes the description as a plain URDF
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
+        """Leave out thread-local state; a model with mimic joints is pickled as its URDF (otherwise Pinocchio 4.1 crashes)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
-        follow = len(self.model.mimicking_joints)
-        # A given model may lack the mimic joints of its URDF; it is then pickled itself.
-        if self.urdf is not None and (follow or not followers(self.urdf).tied):
-            state["model"] = state["_original"] = state["_given"] = None
-        elif follow:
+        if not len(self.model.mimicking_joints):
+            return state
+        if not self._is_described():
             raise ModelError(
-                f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
+                f"robot '{self.name}' has mimic joints and no URDF that describes its model, so it cannot be pickled"
             )
+        state["model"] = state["_original"] = state["_given"] = None
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
