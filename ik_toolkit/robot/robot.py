@@ -27,7 +27,16 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
+from .load import (
+    default_base,
+    doubted_size,
+    folders_of,
+    given_models,
+    library_home,
+    read_both,
+    require_text_or_file,
+    text_and_file,
+)
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
@@ -158,7 +167,7 @@ class Robot(Joints):
         robot = cls(
             **made,
             tip=tip if tip is not None else entry.tip,
-            home=entry.home if known else None,
+            home=[*library_home(entry, made).values()] or None if known else None,
             on_base=on_base,
             base_limits=base_limits,
         )
