@@ -219,6 +219,17 @@ def test_a_passive_joint_beside_the_path_rests_where_it_may_and_is_not_called_lo
     assert other.joint_names == ("a",) and other.locked_joints == {"low": -0.1, "high": 0.4}
 
 
+def test_an_end_effector_may_be_on_a_link_with_the_name_of_a_joint():
+    text = branches(
+        joint("a", "revolute", "o", "a"), joint("b", "revolute", "a", "b"), joint("tool", "fixed", "b", "tool")
+    )
+    srdf = (
+        '<robot name="r"><group name="arm"><joint name="a"/><joint name="b"/></group>'
+        '<end_effector name="gripper" parent_link="tool" group="hand" parent_group="arm"/></robot>'
+    )
+    assert ik.Robot.load(text, srdf=srdf, group="arm").tip == "tool"
+
+
 # ----------------------------------------------------------------------------------------------------------- where it lies
 def test_it_is_found_beside_the_file(tmp_path):
     (tmp_path / "urdf").mkdir()
