@@ -265,6 +265,11 @@ def test_growth_along_a_path_is_the_papers_lap():
             dict(kappa=10.0, robot="planar_2r", path=ik.line((1, 0, 0), (3, 0, 0), duration=1.0)),
             "cannot be followed",
         ),
+        (
+            ("cv", 0.01),
+            dict(kappa=10.0, robot="planar_2r", path=ik.circle((1, 0, 0), 1e200)),
+            r"'circle' is not finite, or beyond 1e\+100, at t = 0 s",
+        ),
     ],
 )
 def test_mistakes_are_typed(arguments, options, words):

@@ -344,6 +344,9 @@ def test_mistakes_are_named():
         ("position is not kept", {"orientations": 2, "priority": ["orientation"]}),
         ("position is not kept", {"orientations": 2, "priority": [("tool", "orientation"), "position"]}),
         ("two corners", {"region": [[0.0, 0.0, 0.0]] * 3}),
+        ("two corners", {"region": ((-1e308, 0.0, 0.0), (1e308, 1.0, 1.0))}),  # its width is not finite
+        ("a resolution of 1e-200 m makes .* cells; make it coarser, or the region smaller", {"resolution": 1e-200}),
+        ("m makes inf cells", {"resolution": 1e-320}),
         ("loose poses", {"region": np.tile(np.eye(4), (3, 1, 1)), "resolution": 0.1}),
         ("npz", {"file": "map.csv"}),
         ("tolerance", {"tolerence": 1e-3}),
