@@ -51,7 +51,7 @@ def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
     if dt > MOST_PARTS * longest:
         whole = f"{longest:g} s, {'which is dt_max' if given else f'{LATE:g} times the first one'}"
         raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.9g} parts of at most {whole}. Was another unit meant?")
-    return math.ceil(dt / longest)
+    return max(1, math.ceil(dt / longest))
 
 
 def switch(value: Any, name: str) -> bool:
