@@ -55,8 +55,6 @@ class Reference(Holds):
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
-        if self.duration >= RIGID.far:
-            raise InvalidOption(f"duration [s] must stay below {RIGID.far:g}, not {self.duration:g}")
         self.function = function
         self.position_only = switch(position_only, "position_only")
         self.name = name
