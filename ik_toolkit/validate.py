@@ -12,7 +12,6 @@ from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 FLOAT = np.dtype(np.float64)
 # factor by which a control step may be longer than the first one; a longer step is divided, so that limits are kept
 LATE = 5.0
-FAR = 1e100  # No positive option is this large: its square would soon overflow.
 MOST_PARTS = 100_000  # largest number of parts into which a control step is divided; that many take some seconds
 # The one function that accepts a special value of an option, by value; error messages of other functions name it.
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
@@ -27,11 +26,11 @@ def number(value: Any, name: str) -> float:
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a value as a positive float below FAR. Raises InvalidOption, which names the argument, if it is not."""
+    """Return a value as a positive float. Raises InvalidOption, which names the argument, if it is not, or 1e100 or more."""
     # A shortcut for floats, because this check runs in every control step.
     found = value if type(value) is float else number(value, name)
-    if not 0.0 < found < FAR:
-        below = f" below {FAR:g}" if FAR <= found < math.inf else ""
+    if not 0.0 < found < 1e100:  # squares of larger numbers soon overflow
+        below = " below 1e+100" if 0.0 < found < math.inf else ""
         raise InvalidOption(f"{name} must be a positive number{below}, not {value!r:.60}")
     return found
 
