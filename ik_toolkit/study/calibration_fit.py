@@ -33,12 +33,13 @@ class ArmFit:
     """A least-squares fit of an arm's errors to measurements, in progress.
 
     Attributes:
-        arm, measured, Q: The arm, the measurements and the joint values (N, n).
+        arm, measured, Q: The arm, a copy of the measurements for this fit, and the joint values (N, n).
         scales: Expected size (P,) of the unknowns x [m or rad]: the standard deviation of their prior.
         noise: Standard deviations [m, rad] of the measurements.
         kept: Which measurements (N,) count; the others are outliers.
         free: Which unknowns (P,) are fitted; the others are fixed at 0, the nominal arm.
         x, z: The unknowns of the arm, and of the touched sockets, planes or fixed ends.
+        first: The x and z with which the fit begins.
     """
 
     def __init__(
@@ -50,13 +51,14 @@ class ArmFit:
         except ImportError:
             raise MissingExtra("scipy", "tune") from None
         self._solve: Any = least_squares
-        self.arm, self.measured, self.Q, self.scales = arm, measured, Q, scales
+        self.arm, self.Q, self.scales = arm, Q, scales
         self.given = noise is not None
         self.noise = tuple(NOISE if noise is None else noise)
         self.kept = np.ones(len(Q), dtype=bool)
         self.free = np.ones(len(scales), dtype=bool)
         self.x = first_guess(arm, measured, Q)
-        self.z = measured.start(arm.poses(self.x, Q))
+        self.measured, self.z = measured.begun(arm.poses(self.x, Q))
+        self.first = self.x, self.z
         self.converged = True
 
     # -------------------------------------------------------------------------------------------------------- one fit
@@ -305,8 +307,7 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 
     def left(sign: np.ndarray) -> float:
-        arm = DrawnArm(robot, loose)
-        arm.sign = sign
+        arm = DrawnArm(robot, loose, sign)
         fit = ArmFit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
         x, z = fit.run(fit.kept, robust=True, most=12)
         return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))
