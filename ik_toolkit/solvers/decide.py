@@ -281,7 +281,7 @@ class Deciding(Plan):
             return
         rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
         self.run(T[still], kinds, starts, given, rest)
-        far = [np.linalg.norm(rows[:, SIZE.answer : SIZE.answer + N] - starts, axis=1) for rows in (rest, made[still])]
+        far = [np.linalg.norm(rows[:, self.q_columns] - starts, axis=1) for rows in (rest, made[still])]
         taken = (made[still, AT.status] != CODE.converged) | (rest[:, AT.status] == CODE.converged) & (far[0] < far[1])
         made[still[taken]] = rest[taken]
 

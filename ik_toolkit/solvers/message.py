@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, how_many, length
 from .decide import blocked
@@ -171,7 +171,7 @@ def _outside(result: Any) -> str:
     if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
         return ""
     row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
-    q = row[SIZE.answer : SIZE.answer + robot.n]
+    q = row[of.plan.q_columns]
     turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
     q = q - TAU * turns
     over = np.maximum(robot.lower - q, q - robot.upper)
@@ -360,9 +360,8 @@ def position_alone(result: Any, turned: bool) -> str:
         mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, max_evaluations=None, timeout=None, follow=0.0,
         closest=False, objective=None, history=False, avoid_collisions=False,
     )  # fmt: skip
-    q = of.row[SIZE.answer : SIZE.answer + result.robot.n]
-    row = plan.solve(of.T, of.kinds, q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[SIZE.answer : SIZE.answer + len(q)], of.T, of.kinds, plan.options)
+    row = plan.solve(of.T, of.kinds, result.q[None], True)
+    ((raw, _, _),) = all_errors(result.robot, row[plan.q_columns], of.T, of.kinds, plan.options)
     if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
         return ""
     if turned:
