@@ -58,10 +58,7 @@ def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot
     path = find_path(model, *arm._ids, locked, [model.getJointId(joint) for joint in names])
     if set(path.leaders) == set(arm._path.leaders):
         return arm
-    other = arm._variant()
-    other._others = tuple(names)
-    other._build([home[model.names[j]] for j in path.leaders])
-    return other
+    return arm._variant(_others=tuple(names))._build([home[model.names[j]] for j in path.leaders])
 
 
 class Tree(Joints):
