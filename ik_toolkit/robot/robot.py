@@ -27,7 +27,7 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
+from .load import based, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
@@ -154,14 +154,8 @@ class Robot(Joints):
                 f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tip, on_base, base_limits)
-        robot = cls(
-            **made,
-            tip=tip if tip is not None else entry.tip,
-            home=entry.home if known else None,
-            on_base=on_base,
-            base_limits=base_limits,
-        )
+        made = based(entry, made, base, tip, on_base, base_limits)
+        robot = cls(**made, tip=tip if tip is not None else entry.tip, home=entry.home if known else None)
         held = values_by_joint(locked)
         return robot.locked(held) if held else robot
 

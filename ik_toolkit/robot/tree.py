@@ -13,7 +13,7 @@ from ..text import first_few, how_many, in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf
 from .joints import Joints
-from .load import default_base, read_both
+from .load import based, read_both
 from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
@@ -191,8 +191,7 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tips[0], on_base, base_limits)
-        made |= {"on_base": on_base, "base_limits": base_limits}
+        made = based(entry, made, base, tips[0], on_base, base_limits)
         arms = arms_of(made, tips)
         tree = cls(arms)
         if entry.home is not None and known:
