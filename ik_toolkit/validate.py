@@ -12,6 +12,7 @@ from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 FLOAT = np.dtype(np.float64)
 # factor by which a control step may be longer than the first one; a longer step is divided, so that limits are kept
 LATE = 5.0
+FAR = 1e100  # No positive option is this large: its square would soon overflow.
 MOST_PARTS = 100_000  # largest number of parts into which a control step is divided; that many take some seconds
 # The one function that accepts a special value of an option, by value; error messages of other functions name it.
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
@@ -26,11 +27,12 @@ def number(value: Any, name: str) -> float:
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is not."""
+    """Return a value as a positive float below FAR. Raises InvalidOption, which names the argument, if it is not."""
     # A shortcut for floats, because this check runs in every control step.
     found = value if type(value) is float else number(value, name)
-    if not 0.0 < found < math.inf:
-        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
+    if not 0.0 < found < FAR:
+        below = f" below {FAR:g}" if FAR <= found < math.inf else ""
+        raise InvalidOption(f"{name} must be a positive number{below}, not {value!r:.60}")
     return found
 
 
@@ -50,7 +52,7 @@ def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
     """
     if dt > MOST_PARTS * longest:
         whole = f"{longest:g} s, {'which is dt_max' if given else f'{LATE:g} times the first one'}"
-        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
+        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.9g} parts of at most {whole}. Was another unit meant?")
     return math.ceil(dt / longest)
 
 

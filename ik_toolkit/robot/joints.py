@@ -186,7 +186,7 @@ class Joints(ReadOnly):
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
         fields = ("position", "orientation") if isinstance(names, Mapping) and len(self.tips) == 1 else ()
-        for tip in (name for name in names if name not in self.tips):
+        for tip in (name for name in names if not (isinstance(name, str) and name in self.tips)):
             raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, (*self.tips, *fields))}")
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:

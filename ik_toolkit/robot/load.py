@@ -13,13 +13,14 @@ from ..text import figure
 from .base import carried
 from .formats.description import Urdf
 from .formats.mjcf import read_mjcf
-from .formats.srdf import srdf_of
+from .formats.srdf import passive_joints, srdf_of
 from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
 from .formats.xacro import expand, expanded, has_macros
 from .library import RobotEntry, find
-from .tips import guess_tip
+from .probe import find_path
+from .tips import frame_id, guess_tip
 
 LOG = logging.getLogger("ik_toolkit")
 
@@ -191,6 +192,18 @@ def based(
     note = "joint '{}' is held still and poses are given in '{}'; base_limits= lets it move".format(*held)
     LOG.warning("%s: %s", entry.name, note)
     return made | {"base": entry.base or held[1], "notes": (*made["notes"], note)}
+
+
+def library_home(entry: RobotEntry, made: Mapping[str, Any]) -> dict[str, float]:
+    """Return the home of a library robot [rad or m] by joint, without joints that the SRDF holds; empty if it has none."""
+    if entry.home is None:
+        return {}
+    model = made["model"]
+    base, *tips = (frame_id(model, name, entry.name) for name in (entry.base, *entry.tips))
+    joints = dict.fromkeys(model.names[j] for tip in tips for j in find_path(model, base, tip, set()).leaders)
+    held = [passive_joints(made["srdf"], model, base, tip, {}) for tip in tips]
+    home = zip(joints, entry.home, strict=True)
+    return {joint: value for joint, value in home if not any(joint in joints for joints in held)}
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:

@@ -17,7 +17,7 @@ from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNo
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
-from .base import on_own_base, put_joint
+from .base import describes, on_own_base, put_joint
 from .configuration import near_joint, simple_joints, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
@@ -27,7 +27,16 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import based, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
+from .load import (
+    based,
+    doubted_size,
+    folders_of,
+    given_models,
+    library_home,
+    read_both,
+    require_text_or_file,
+    text_and_file,
+)
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
@@ -155,7 +164,8 @@ class Robot(Joints):
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
         made = based(entry, made, base, tip, on_base, base_limits)
-        robot = cls(**made, tip=tip if tip is not None else entry.tip, home=entry.home if known else None)
+        home = [*library_home(entry, made).values()] or None if known else None
+        robot = cls(**made, tip=tip if tip is not None else entry.tip, home=home)
         held = values_by_joint(locked)
         return robot.locked(held) if held else robot
 
@@ -306,6 +316,11 @@ class Robot(Joints):
         rotation = pin.log3(T.rotation.T @ target[:3, :3])
         return math.hypot(*(target[:3, 3] - T.translation).tolist()), math.hypot(*rotation.tolist())
 
+    def _is_described(self) -> bool:
+        """Return whether the URDF describes the model, which may have been given beside it, with other joints or lengths."""
+        model = self.model if self._original is None else self._original
+        return self.urdf is not None and describes(build_model(self.urdf), model, (self.base, self.tip))
+
     def _variant(self, **changes: Any) -> "Robot":
         """Return a copy that shares the model, with other attributes `changes` and none of the caches; `_build` makes the rest."""
         other = Robot.__new__(Robot)
@@ -340,17 +355,16 @@ class Robot(Joints):
     write = write_urdf  # robot.write(file) saves the robot's description as one plain URDF.
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
+        """Leave out thread-local state; a model with mimic joints is pickled as its URDF (otherwise Pinocchio 4.1 crashes)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
-        follow = len(self.model.mimicking_joints)
-        # A model given by the user may lack the mimic joints of its URDF. Then it could not be made again from that text.
-        if self.urdf is not None and (follow or not followers(self.urdf).tied):
-            state["model"] = state["_original"] = state["_given"] = None
-        elif follow:
+        if not len(self.model.mimicking_joints):
+            return state
+        if not self._is_described():
             raise ModelError(
-                f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
+                f"robot '{self.name}' has mimic joints and no URDF that describes its model, so it cannot be pickled"
             )
+        state["model"] = state["_original"] = state["_given"] = None
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from ..text import first_few, how_many, in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf
 from .joints import Joints
-from .load import based, read_both
+from .load import based, library_home, read_both
 from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
@@ -194,11 +194,8 @@ class Tree(Joints):
         made = based(entry, made, base, tips[0], on_base, base_limits)
         arms = arms_of(made, tips)
         tree = cls(arms)
-        if entry.home is not None and known:
-            known_arms = arms if tuple(tips) == entry.tips else arms_of(made, entry.tips)
-            home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True))
-            own = [joint for joint in union(known_arms) if joint not in arms[0]._of_base]
-            home.update(zip(own, entry.home, strict=True))
+        if known and (given := library_home(entry, made)):
+            home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True)) | given
             tree = cls(arms, [home[joint] for joint in tree.joint_names])
         held = values_by_joint(locked)
         return tree.locked(held) if held else tree
