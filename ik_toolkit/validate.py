@@ -73,7 +73,7 @@ def one_of(value: Any, names: Iterable[str], what: str) -> str:
 
 def rates(robot: Any, rate0: Any) -> np.ndarray:
     """Return joint rates at the start of a motion as an array (n,) [rad/s or m/s]; InvalidConfiguration if they do not fit."""
-    found = robot._values(rate0, "rate0")
+    found = robot.read_q(rate0, "rate0")[0]
     if not np.isfinite(found).all():
         raise InvalidConfiguration(f"rate0 must be finite, not {found}")
     return found

@@ -28,7 +28,7 @@ from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
 from .load import (
-    default_base,
+    based,
     doubted_size,
     folders_of,
     given_models,
@@ -163,14 +163,9 @@ class Robot(Joints):
                 f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tip, on_base, base_limits)
-        robot = cls(
-            **made,
-            tip=tip if tip is not None else entry.tip,
-            home=[*library_home(entry, made).values()] or None if known else None,
-            on_base=on_base,
-            base_limits=base_limits,
-        )
+        made = based(entry, made, base, tip, on_base, base_limits)
+        home = [*library_home(entry, made).values()] or None if known else None
+        robot = cls(**made, tip=tip if tip is not None else entry.tip, home=home)
         held = values_by_joint(locked)
         return robot.locked(held) if held else robot
 
@@ -205,7 +200,7 @@ class Robot(Joints):
             model, self.on_base, self.base_limits
         )
 
-    def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
+    def _build(self, home: Sequence[float] | np.ndarray | None) -> "Robot":
         self.memo: dict[Any, Any] = {}
         self._wide = None
         model = self.model
@@ -249,6 +244,7 @@ class Robot(Joints):
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
         self._seal()
+        return self
 
     def _compare(self) -> None:
         """Reject a robot if the arrays for the compiled solvers (chain) disagree with Pinocchio, as results would be wrong."""
@@ -325,28 +321,24 @@ class Robot(Joints):
         model = self.model if self._original is None else self._original
         return self.urdf is not None and describes(build_model(self.urdf), model, (self.base, self.tip))
 
-    def _variant(self) -> "Robot":
-        """Return a copy that shares the model and has none of the caches."""
+    def _variant(self, **changes: Any) -> "Robot":
+        """Return a copy that shares the model, with other attributes `changes` and none of the caches; `_build` makes the rest."""
         other = Robot.__new__(Robot)
-        other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
+        kept = {key: value for key, value in self.__dict__.items() if key not in CACHES}
+        other.__dict__.update(kept | changes)
         return other
 
     def _locked(self, joints: Mapping[str, float]) -> "Robot":
         keep = [j for j in self.joint_names if j not in joints]
-        other = self._variant()
-        other.rest = self.rest.copy()
-        other.locked_joints = dict(self.locked_joints)
+        other = self._variant(rest=self.rest.copy(), locked_joints=dict(self.locked_joints))
         for joint, value in joints.items():
             other._set_rest(joint, value)
         home = [x for j, x in zip(self.joint_names, self.home, strict=True) if j in keep]
-        other._build(home if keep else None)
-        return other
+        return other._build(home if keep else None)
 
     def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Robot":
-        other = self._variant()
-        other._ranges = ranges
-        other._build(np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
-        return other
+        home = np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names]))
+        return self._variant(_ranges=ranges)._build(home)
 
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose targets, fk and errors refer to a tool frame, at T_tip_tool (4, 4) in the tip frame.
@@ -354,13 +346,11 @@ class Robot(Joints):
         `shape` is a collision shape (Shape) of the tool, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
         T = as_matrix(T_tip_tool, "tool", self.reach)
-        other = self._variant()
-        other.tool = self.tool * pin.SE3(T)
+        shapes = self.tool_shapes
         if shape is not None:
             place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.reach))
-            other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
-        other._build(self.home)
-        return other
+            shapes = (*shapes, (is_shape(shape), place))
+        return self._variant(tool=self.tool * pin.SE3(T), tool_shapes=shapes)._build(self.home)
 
     write = write_urdf  # robot.write(file) saves the robot's description as one plain URDF.
 

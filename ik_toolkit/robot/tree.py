@@ -13,7 +13,7 @@ from ..text import first_few, how_many, in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf
 from .joints import Joints
-from .load import default_base, library_home, read_both
+from .load import based, library_home, read_both
 from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
@@ -58,10 +58,7 @@ def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot
     path = find_path(model, *arm._ids, locked, [model.getJointId(joint) for joint in names])
     if set(path.leaders) == set(arm._path.leaders):
         return arm
-    other = arm._variant()
-    other._others = tuple(names)
-    other._build([home[model.names[j]] for j in path.leaders])
-    return other
+    return arm._variant(_others=tuple(names))._build([home[model.names[j]] for j in path.leaders])
 
 
 class Tree(Joints):
@@ -194,8 +191,7 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tips[0], on_base, base_limits)
-        made |= {"on_base": on_base, "base_limits": base_limits}
+        made = based(entry, made, base, tips[0], on_base, base_limits)
         arms = arms_of(made, tips)
         tree = cls(arms)
         if known and (given := library_home(entry, made)):

@@ -127,13 +127,12 @@ def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Itera
         add_link(root, tip)
         add_joint(root, f"{tip}_fixed", "fixed", link, tip, T)
     text = to_text(root)
-    other = robot._variant()
-    other.urdf, other.tip, other.tool = text, tip, type(robot.tool).Identity()
-    back = type(robot.tool)(T).inverse() if tip != robot.tip else other.tool
-    other.tool_shapes = tuple((shape, back * place) for shape, place in robot.tool_shapes)
+    none = type(robot.tool).Identity()
+    back = type(robot.tool)(T).inverse() if tip != robot.tip else none
+    shapes = tuple((shape, back * place) for shape, place in robot.tool_shapes)
+    other = robot._variant(urdf=text, tip=tip, tool=none, tool_shapes=shapes)
     other._settle(build_model(text))
-    other._build(robot.home)
-    return other
+    return other._build(robot.home)
 
 
 def _text_of(robot: Any) -> str:
