@@ -223,11 +223,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     It is 0 if they are stable at no sample time. delay: age of the measured position in samples, whatever the sample time.
     """
     if delay and method in ("cv", "ca"):
-        low, high, tried = (
-            0.0,
-            math.inf,
-            longest_step(method, **gains),
-        )  # part of a sample may allow longer steps than none
+        low, high, tried = 0.0, math.inf, longest_step(method, **gains)  # a small delay may allow longer steps
         for _ in range(52 if tried > 0.0 else 0):
             stable = spectral_radius(delayed_matrix(method, tried, delay, **gains)) < 1.0
             low, high = (tried, high) if stable else (low, tried)
