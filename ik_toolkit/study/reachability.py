@@ -123,9 +123,9 @@ def reachability(
     plan = solver.plan_for((KIND.position if grid.rotations is None and grid.poses is None else KIND.pose,))
     require_reaching(plan.options, "reachability")
     # If the options narrow the limits, the solver works on a copy of the robot with the narrower limits.
-    robot = solver.robot  # pyright: ignore[reportAssignmentType]
-    if grid.free:
-        grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
+    whole_robot, robot = robot, solver.robot  # pyright: ignore[reportAssignmentType]
+    if grid.free or robot is not whole_robot:
+        grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn if grid.free else None)
     asked = {
         key: value if isinstance(value, int | float | str | bool) else repr(value) for key, value in options.items()
     }

@@ -309,6 +309,13 @@ def test_obstacles_and_priority_count():
     assert first.sum() > 2 * ik.reachability(robot, orientations=TURNS[:1], **asked).reached.sum()
 
 
+def test_narrower_limits_have_a_smaller_region_whatever_is_asked_for():
+    arm, asked = robots.load("planar_2r"), {"resolution": 0.3, "limits": {"joint_1": (0.0, 0.5)}, "audit": 0}
+    wide = ik.reachability(arm, resolution=0.3, audit=0)
+    found = [ik.reachability(arm, orientations=one, **asked) for one in ("any", 2)]
+    assert found[0].grid.shape == found[1].grid.shape and found[0].grid.cells < wide.grid.cells
+
+
 def test_a_page_cuts_the_cells_with_its_slider(dense):
     robot, found = dense
     scene = ik.view(robot, found)
