@@ -19,7 +19,8 @@ from .workspace import samples_of
 class StatusThresholds(NamedTuple):
     """Thresholds by which the status of a tracker's step is judged."""
 
-    position: float = 1e-3  # [m] a larger error is explained by a joint limit or the edge of the reach, where one prevents its correction
+    # [m] a larger error is explained by a joint limit or the edge of the reach, where one prevents its correction
+    position: float = 1e-3
     angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
     at_rest: float = 1e-3
