@@ -26,11 +26,12 @@ def number(value: Any, name: str) -> float:
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is not."""
+    """Return a value as a positive float. Raises InvalidOption, which names the argument, if it is not, or 1e100 or more."""
     # A shortcut for floats, because this check runs in every control step.
     found = value if type(value) is float else number(value, name)
-    if not 0.0 < found < math.inf:
-        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
+    if not 0.0 < found < 1e100:  # squares of larger numbers soon overflow
+        below = " below 1e+100" if 0.0 < found < math.inf else ""
+        raise InvalidOption(f"{name} must be a positive number{below}, not {value!r:.60}")
     return found
 
 
@@ -50,7 +51,7 @@ def parts_of_step(dt: float, longest: float, given: bool = False) -> int:
     """
     if dt > MOST_PARTS * longest:
         whole = f"{longest:g} s, {'which is dt_max' if given else f'{LATE:g} times the first one'}"
-        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
+        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.9g} parts of at most {whole}. Was another unit meant?")
     return math.ceil(dt / longest)
 
 
@@ -72,7 +73,7 @@ def one_of(value: Any, names: Iterable[str], what: str) -> str:
 
 def rates(robot: Any, rate0: Any) -> np.ndarray:
     """Return joint rates at the start of a motion as an array (n,) [rad/s or m/s]; InvalidConfiguration if they do not fit."""
-    found = robot._values(rate0, "rate0")
+    found = robot.read_q(rate0, "rate0")[0]
     if not np.isfinite(found).all():
         raise InvalidConfiguration(f"rate0 must be finite, not {found}")
     return found

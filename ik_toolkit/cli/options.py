@@ -118,7 +118,7 @@ class RobotOptions:
 
     def _value(self, robot: Any, joint: str, x: float) -> float:
         """Convert a typed joint value (degrees with --deg) to rad or m."""
-        return in_radians(x, self.deg and not slides(robot, joint))
+        return in_radians(x, self.deg and turns(kind_of(robot, joint)))
 
     def _read(self, tip: str | list[str] | None) -> Any:
         """Load the Robot or the Tree, with the limits of its description."""
@@ -209,16 +209,12 @@ class OneTip(WholeRobot):
     )
 
 
-def slides(robot: Any, joint: str) -> bool:
-    """Return whether a joint of the robot's model is prismatic; it may be off the path to the tip, or mimic another joint."""
+def kind_of(robot: Any, joint: str) -> str:
+    """Return the kind of a joint, 'prismatic' or 'revolute'; it may be off the path to the tip, or mimic another joint."""
     model = robot.model
     # A prismatic joint has a linear velocity: the first three rows of its motion subspace S in Pinocchio are not all 0.
-    return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
-
-
-def kind_of(robot: Any, joint: str) -> str:
-    """Return the kind of a joint of the robot's model, 'prismatic' or 'revolute'; it may be off the path to the tip."""
-    return "prismatic" if slides(robot, joint) else "revolute"
+    slides = model.existJointName(joint) and model.joints[model.getJointId(joint)].createData().S[:3].any()
+    return "prismatic" if slides else "revolute"
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:

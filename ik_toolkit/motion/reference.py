@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
+from ..kernel.checks import RIGID
 from ..kernel.counted_error import KIND
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
@@ -37,7 +38,7 @@ class Reference(Holds):
         name: A short name for messages.
 
     Raises:
-        InvalidOption: function cannot be called, duration is not a positive number, or position_only not True or False.
+        InvalidOption: function cannot be called, duration is not a positive number below 1e100, or position_only not True or False.
     """
 
     FUNCTION = "function"
@@ -129,8 +130,8 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     T, V, A = reference.at(times)
     used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
-    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
-    what = "is not finite"
+    bad = ~(np.abs(np.hstack([used, V, A])) < RIGID.far).all(axis=1)
+    what = f"is not finite, or beyond {RIGID.far:g},"
     # Each pose must be a rigid transform, to the same accuracy as a single target in `check_target`.
     if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]

@@ -279,9 +279,11 @@ class ErrorBounds:
             return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
         # The rotation group has curvature 1/4, so half the rotation over a segment is multiplied by sqrt(1/4).
         bent = 0.25 * np.maximum(self.rate, self.swing)
-        secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
-        grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)
-        return np.minimum(tolerance * secant + 0.125 * self.twist * grown + self.off_turn, math.pi)
+        near = np.minimum(bent, 1.57)  # From a quarter turn on only half a turn bounds the rotation.
+        secant = 1.0 / np.cos(near)
+        grown = np.where(near > 1e-4, 2.0 * (secant - 1.0) / np.maximum(near, 1e-4) ** 2, 1.0)
+        bound = np.minimum(tolerance * secant + 0.125 * self.twist * grown + self.off_turn, math.pi)
+        return np.where(bent < 0.5 * math.pi, bound, math.pi)
 
     def _vector(self) -> np.ndarray:
         """Return a bound [rad] (M-1,) on the second derivative of the rotation vector from tip to target."""

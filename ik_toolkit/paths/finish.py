@@ -12,7 +12,7 @@ import numpy as np
 
 from ..kernel.checks import CODE
 from ..kernel.counted_error import KIND
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .certificate import Continuity
@@ -317,7 +317,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
             row = p.follower.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
-            new = row[SIZE.answer : SIZE.answer + p.robot.n].copy()
+            new = row[p.follower.q_columns].copy()
             near = (np.abs(new - q) <= most * p.unit).all()
             free = search.collides is None or not search.collides(new)
             return new if row[AT.status] == CODE.converged and near and free else None

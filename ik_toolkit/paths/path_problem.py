@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import InvalidOption, floats
 from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..motion.reference import exp
 from ..solvers.batch.parts import lanes_of
 from ..solvers.enumerate import ONE_ATTEMPT, search_solutions
@@ -107,7 +107,7 @@ class Problem:
             out, good = self.plan.solve(T[:1], self.kinds, Q0[:1], True)[None], np.ones(1, dtype=bool)
             if out[0, AT.status] != CODE.converged:
                 return np.empty((0, n)), max(0.0, out[0, AT.excess]) if out[0, AT.status] == CODE.unreachable else 0.0
-        return self.turned(out[good, SIZE.answer : SIZE.answer + n] / self.unit), 0.0
+        return self.turned(out[good, single.q_columns] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
         """Return Q (m, n) [rad, or length / reach] with revolute joints shifted by 2 pi k to be nearest mid-range."""
@@ -160,7 +160,7 @@ def all_reached(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None)
         row = plan.solve(T[t : t + 1], kinds, q, True)
         if row[AT.status] != CODE.converged:
             return False
-        q = row[None, SIZE.answer : SIZE.answer + plan.robot.n]
+        q = row[None, plan.q_columns]
     return True
 
 
@@ -205,7 +205,7 @@ def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.n
         row = single.solve(T[t : t + 1], kinds, q[None], True)
         if row[AT.status] != CODE.converged:
             row = plan.solve(T[t : t + 1], kinds, q[None], True)
-        Q[t], good[t] = row[SIZE.answer : SIZE.answer + robot.n], row[AT.status] == CODE.converged
+        Q[t], good[t] = row[plan.q_columns], row[AT.status] == CODE.converged
         q = Q[t] if good[t] else q
     return Q, good
 

@@ -181,8 +181,9 @@ def unfold(model: pin.Model) -> tuple[pin.Model, GivenModel | None]:
         for k, part in enumerate(PARTS[model.joints[root].shortname()]):
             placement = model.jointPlacements[root] if k == 0 else pin.SE3.Identity()
             last = _add(base, last, ROOT, part, placement, PITCH)
-        held = pin.buildReducedModel(model, [root], pin.neutral(model))
-        made = pin.appendModel(base, held, base.nframes - 1, model.jointPlacements[root].inverse())
+        numbered, own = _numbered(model)
+        held = pin.buildReducedModel(numbered, [root], pin.neutral(model))
+        made = _appended(base, held, model.jointPlacements[root].inverse(), own)
     else:
         made = _copied(model, prefix)
     made.name = model.name
@@ -227,6 +228,26 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
     return made
 
 
+def _numbered(model: pin.Model) -> tuple[pin.Model, dict[str, str]]:
+    """Return a copy of a model whose links are numbered, for functions of Pinocchio that find frames by name, and their names.
+
+    Those functions do not look at the type of a frame, but a joint and a link may have the same name.
+    """
+    made, names = pin.Model(model), {}
+    for k in range(1, made.nframes):
+        if made.frames[k].type not in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT):
+            names[f"frame {k}"], made.frames[k].name = made.frames[k].name, f"frame {k}"
+    return made, names
+
+
+def _appended(base: pin.Model, model: pin.Model, T: pin.SE3, names: Mapping[str, str]) -> pin.Model:
+    """Return a model of the joints of `base` and, at T on its last frame, those of `model`, whose links get their `names` again."""
+    made = pin.appendModel(base, model, base.nframes - 1, T)
+    for frame in made.frames:
+        frame.name = names.get(frame.name, frame.name)
+    return made
+
+
 def stand(model: pin.Model, on_base: Any) -> pin.Model:
     """Return a copy of a Pinocchio model that is mounted on a moving base, or whose root is at another pose.
 
@@ -246,7 +267,8 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
     else:
         pose, _ = check_target(on_base, of="base")
         T = pin.SE3(pose) if pose.ndim == 2 else pin.SE3(np.eye(3), pose)
-    made = pin.appendModel(made, model, made.nframes - 1, T)
+    numbered, own = _numbered(model)
+    made = _appended(made, numbered, T, own)
     made.name = model.name
     return made
 
@@ -286,6 +308,19 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
             )
         set_base_limits(made, base_limits, slides, [name for name in names if name not in slides])
     return BasedModel(made, None if made is model else model, given, tuple(names), slides)
+
+
+def describes(drawn: pin.Model, model: pin.Model, names: Sequence[str]) -> bool:
+    """Return whether `drawn`, the model of a URDF, has the same joints and frames as `model`, and the frames `names`.
+
+    `model` may have further frames, such as those that a program has added to it.
+    """
+
+    def parts(one: pin.Model) -> list[list[Any]]:
+        frames = one.frames.tolist()[: drawn.nframes]
+        return [list(one.names), one.joints.tolist(), one.jointPlacements.tolist(), frames]
+
+    return parts(drawn) == parts(model) and all(drawn.existFrame(name) for name in names)
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:

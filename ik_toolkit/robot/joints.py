@@ -186,12 +186,12 @@ class Joints(ReadOnly):
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
         fields = ("position", "orientation") if isinstance(names, Mapping) and len(self.tips) == 1 else ()
-        for tip in (name for name in names if name not in self.tips):
+        for tip in (name for name in names if not (isinstance(name, str) and name in self.tips)):
             raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, (*self.tips, *fields))}")
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration if it has the wrong size or is not finite."""
-        array = self._values(q, name)
+        array = self.read_q(q, name)[0]
         if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # NaN fails this comparison too.
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
@@ -207,10 +207,6 @@ class Joints(ReadOnly):
     def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
         """Return joint values in any accepted form as an array (n,), not checked, and a sentence on ignored joints, or ''."""
         return read_configuration(self, q, name)
-
-    def _values(self, q: Any, name: str = "q") -> np.ndarray:
-        """Convert joint values in any accepted form to an array (n,), finite or not. Raises InvalidConfiguration."""
-        return self.read_q(q, name)[0]
 
     def locked(self, joints: Mapping[str, float]) -> Self:
         """Return a copy with joints held at values and left out of q.
@@ -303,12 +299,12 @@ class Joints(ReadOnly):
 
     def outside(self, q: Any) -> list[str]:
         """Return the names of joints whose value in q (n,) is outside its limits, or NaN. Raises InvalidConfiguration."""
-        q = self._values(q)
+        q = self.read_q(q)[0]
         return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
 
     def at_limits(self, q: Any) -> list[str]:
         """Return the names of joints whose value in q (n,) is at a limit (within 1e-9) or beyond. Raises InvalidConfiguration."""
-        q = self._values(q)
+        q = self.read_q(q)[0]
         near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
         return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
 

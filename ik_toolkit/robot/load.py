@@ -13,13 +13,14 @@ from ..text import figure
 from .base import carried
 from .formats.description import Urdf
 from .formats.mjcf import read_mjcf
-from .formats.srdf import srdf_of
+from .formats.srdf import passive_joints, srdf_of
 from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
 from .formats.xacro import expand, expanded, has_macros
 from .library import RobotEntry, find
-from .tips import guess_tip
+from .probe import find_path
+from .tips import frame_id, guess_tip
 
 LOG = logging.getLogger("ik_toolkit")
 
@@ -173,23 +174,36 @@ def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
     return text, path or Path(urdf).expanduser()
 
 
-def default_base(
+def based(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
-) -> str | None:
-    """Return the name of the frame that `Robot.load` uses as base (None: the root).
+) -> dict[str, Any]:
+    """Return the arguments `made` for `Robot` with those that say where it stands, as `Robot.load` takes them.
 
-    It is the given one, or else that of the library entry. If a floating or planar joint moves the tip and has no base_limits, that
-    joint is held still and the link that it moves is the base; a note on this is added to `made`, the arguments for `Robot`.
+    The base is the given frame, or else that of the library entry (None: the root). If a floating or planar joint moves the tip and
+    has no base_limits, that joint is held still, which a note says, and the link that it moves is the base.
     """
-    model = made["model"]
-    tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
-    held = carried(model, tip) if base_limits is None and tip else None
-    if held is None or base is not None or on_base is not None:
-        return base if base is not None or on_base is not None else entry.base
+    made = made | {"base": base, "on_base": on_base, "base_limits": base_limits}
+    if base is not None or on_base is not None:
+        return made
+    tip = tip or next(iter(entry.tips or guess_tip(made["model"]).tips), None)
+    held = carried(made["model"], tip) if base_limits is None and tip else None
+    if held is None:
+        return made | {"base": entry.base}
     note = "joint '{}' is held still and poses are given in '{}'; base_limits= lets it move".format(*held)
-    made["notes"] = (*made["notes"], note)
     LOG.warning("%s: %s", entry.name, note)
-    return entry.base or held[1]
+    return made | {"base": entry.base or held[1], "notes": (*made["notes"], note)}
+
+
+def library_home(entry: RobotEntry, made: Mapping[str, Any]) -> dict[str, float]:
+    """Return the home of a library robot [rad or m] by joint, without joints that the SRDF holds; empty if it has none."""
+    if entry.home is None:
+        return {}
+    model = made["model"]
+    base, *tips = (frame_id(model, name, entry.name) for name in (entry.base, *entry.tips))
+    joints = dict.fromkeys(model.names[j] for tip in tips for j in find_path(model, base, tip, set()).leaders)
+    held = [passive_joints(made["srdf"], model, base, tip, {}) for tip in tips]
+    home = zip(joints, entry.home, strict=True)
+    return {joint: value for joint, value in home if not any(joint in joints for joints in held)}
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:

@@ -158,6 +158,8 @@ def limits(
                 f"joint '{joint}' mimics '{leader}' in the URDF but is free in this model; build it with mimic=True"
             )
             continue
+        if ratio == 0.0 and model.existJointName(joint) and not low <= offset <= high:
+            notes.append(f"joint '{joint}' stays at {offset:g}, outside its limits: its multiplier of '{leader}' is 0")
         if i is None or min(-low, high) >= NO_LIMIT:
             continue
         first, last = _leader_range(ratio, offset, low, high)

@@ -17,7 +17,7 @@ from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNo
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from ..text import how_many
-from .base import on_own_base, put_joint
+from .base import describes, on_own_base, put_joint
 from .configuration import near_joint, simple_joints, values_by_joint
 from .constraints import Constraint
 from .formats.convert import write_urdf
@@ -27,7 +27,16 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
+from .load import (
+    based,
+    doubted_size,
+    folders_of,
+    given_models,
+    library_home,
+    read_both,
+    require_text_or_file,
+    text_and_file,
+)
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import frame_id, one_word, only_tip, root_link
@@ -154,14 +163,9 @@ class Robot(Joints):
                 f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tip, on_base, base_limits)
-        robot = cls(
-            **made,
-            tip=tip if tip is not None else entry.tip,
-            home=entry.home if known else None,
-            on_base=on_base,
-            base_limits=base_limits,
-        )
+        made = based(entry, made, base, tip, on_base, base_limits)
+        home = [*library_home(entry, made).values()] or None if known else None
+        robot = cls(**made, tip=tip if tip is not None else entry.tip, home=home)
         held = values_by_joint(locked)
         return robot.locked(held) if held else robot
 
@@ -196,7 +200,7 @@ class Robot(Joints):
             model, self.on_base, self.base_limits
         )
 
-    def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
+    def _build(self, home: Sequence[float] | np.ndarray | None) -> "Robot":
         self.memo: dict[Any, Any] = {}
         self._wide = None
         model = self.model
@@ -240,6 +244,7 @@ class Robot(Joints):
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
         self._seal()
+        return self
 
     def _compare(self) -> None:
         """Reject a robot if the arrays for the compiled solvers (chain) disagree with Pinocchio, as results would be wrong."""
@@ -311,28 +316,29 @@ class Robot(Joints):
         rotation = pin.log3(T.rotation.T @ target[:3, :3])
         return math.hypot(*(target[:3, 3] - T.translation).tolist()), math.hypot(*rotation.tolist())
 
-    def _variant(self) -> "Robot":
-        """Return a copy that shares the model and has none of the caches."""
+    def _is_described(self) -> bool:
+        """Return whether the URDF describes the model, which may have been given beside it, with other joints or lengths."""
+        model = self.model if self._original is None else self._original
+        return self.urdf is not None and describes(build_model(self.urdf), model, (self.base, self.tip))
+
+    def _variant(self, **changes: Any) -> "Robot":
+        """Return a copy that shares the model, with other attributes `changes` and none of the caches; `_build` makes the rest."""
         other = Robot.__new__(Robot)
-        other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
+        kept = {key: value for key, value in self.__dict__.items() if key not in CACHES}
+        other.__dict__.update(kept | changes)
         return other
 
     def _locked(self, joints: Mapping[str, float]) -> "Robot":
         keep = [j for j in self.joint_names if j not in joints]
-        other = self._variant()
-        other.rest = self.rest.copy()
-        other.locked_joints = dict(self.locked_joints)
+        other = self._variant(rest=self.rest.copy(), locked_joints=dict(self.locked_joints))
         for joint, value in joints.items():
             other._set_rest(joint, value)
         home = [x for j, x in zip(self.joint_names, self.home, strict=True) if j in keep]
-        other._build(home if keep else None)
-        return other
+        return other._build(home if keep else None)
 
     def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Robot":
-        other = self._variant()
-        other._ranges = ranges
-        other._build(np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
-        return other
+        home = np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names]))
+        return self._variant(_ranges=ranges)._build(home)
 
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose targets, fk and errors refer to a tool frame, at T_tip_tool (4, 4) in the tip frame.
@@ -340,28 +346,25 @@ class Robot(Joints):
         `shape` is a collision shape (Shape) of the tool, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
         T = as_matrix(T_tip_tool, "tool", self.reach)
-        other = self._variant()
-        other.tool = self.tool * pin.SE3(T)
+        shapes = self.tool_shapes
         if shape is not None:
             place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape, "shape", self.reach))
-            other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
-        other._build(self.home)
-        return other
+            shapes = (*shapes, (is_shape(shape), place))
+        return self._variant(tool=self.tool * pin.SE3(T), tool_shapes=shapes)._build(self.home)
 
     write = write_urdf  # robot.write(file) saves the robot's description as one plain URDF.
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
+        """Leave out thread-local state; a model with mimic joints is pickled as its URDF (otherwise Pinocchio 4.1 crashes)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
-        follow = len(self.model.mimicking_joints)
-        # A model given by the user may lack the mimic joints of its URDF. Then it could not be made again from that text.
-        if self.urdf is not None and (follow or not followers(self.urdf).tied):
-            state["model"] = state["_original"] = state["_given"] = None
-        elif follow:
+        if not len(self.model.mimicking_joints):
+            return state
+        if not self._is_described():
             raise ModelError(
-                f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
+                f"robot '{self.name}' has mimic joints and no URDF that describes its model, so it cannot be pickled"
             )
+        state["model"] = state["_original"] = state["_given"] = None
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from ..text import first_few, how_many, in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf
 from .joints import Joints
-from .load import default_base, read_both
+from .load import based, library_home, read_both
 from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
@@ -58,10 +58,7 @@ def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot
     path = find_path(model, *arm._ids, locked, [model.getJointId(joint) for joint in names])
     if set(path.leaders) == set(arm._path.leaders):
         return arm
-    other = arm._variant()
-    other._others = tuple(names)
-    other._build([home[model.names[j]] for j in path.leaders])
-    return other
+    return arm._variant(_others=tuple(names))._build([home[model.names[j]] for j in path.leaders])
 
 
 class Tree(Joints):
@@ -194,15 +191,11 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made, base, tips[0], on_base, base_limits)
-        made |= {"on_base": on_base, "base_limits": base_limits}
+        made = based(entry, made, base, tips[0], on_base, base_limits)
         arms = arms_of(made, tips)
         tree = cls(arms)
-        if entry.home is not None and known:
-            known_arms = arms if tuple(tips) == entry.tips else arms_of(made, entry.tips)
-            home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True))
-            own = [joint for joint in union(known_arms) if joint not in arms[0]._of_base]
-            home.update(zip(own, entry.home, strict=True))
+        if known and (given := library_home(entry, made)):
+            home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True)) | given
             tree = cls(arms, [home[joint] for joint in tree.joint_names])
         held = values_by_joint(locked)
         return tree.locked(held) if held else tree

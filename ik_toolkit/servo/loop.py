@@ -216,6 +216,13 @@ def by_constraints(law, s, count, mu, h, own, work, code):
         along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
     copy(s.x, s.w)
+    # Where other joints are blocked, a joint without limits would do alone what it hardly can, with a thousand turns in one step
+    # (tests/servo/test_motion_limits.py). No step is meant to turn a joint by more than half a turn.
+    for i in range(n):
+        if s.floor[i] == -np.inf:
+            s.floor[i], s.why_low[i] = -np.pi / h, 0
+        if s.roof[i] == np.inf:
+            s.roof[i], s.why_top[i] = np.pi / h, 0
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
     status = constrain(TaskRate(s.J, s.weight, s.heavy, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
     if status >= OUTCOME.short:

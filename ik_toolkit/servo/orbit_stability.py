@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from ..errors import InvalidOption, InvalidTarget
 from ..kernel.records import POINTS
-from ..motion.reference import MAX_STEPS, Reference, log
+from ..motion.reference import MAX_STEPS, Reference, checked, log
 from ..robot.robot import Robot
 from .command import SHARE
 
@@ -101,11 +101,11 @@ class PathMotion:
         if not isinstance(robot, Robot) or not isinstance(reference, Reference):
             raise InvalidOption("gains are judged along a path= (a Reference, as ik.circle) of a robot= (a Robot)")
         self.robot, self.reference, self.m = robot, reference, 3 if reference.position_only else 6
-        T = reference.at(np.linspace(0.0, reference.duration, ORBIT.samples))[0]
+        T = checked(reference, np.linspace(0.0, reference.duration, ORBIT.samples))[0]
         moved = np.abs(np.diff(T, axis=0)) / np.where(np.arange(4) == 3, robot.chain.reach, 1.0)
         count = max(ORBIT.samples, int(moved.max(axis=(1, 2)).sum() / ORBIT.fine))
         if count > MAX_STEPS:
-            raise InvalidOption(
+            raise InvalidTarget(
                 f"{reference!r} takes {count:.3g} samples to judge gains along it; at most {MAX_STEPS:g}"
             )
         self.times = np.linspace(0.0, reference.duration, count)

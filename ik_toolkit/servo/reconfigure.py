@@ -26,7 +26,7 @@ import numpy as np
 
 from ..kernel.checks import CODE
 from ..kernel.kinematics import TAU
-from ..kernel.records import AT, SIZE, Ends
+from ..kernel.records import AT, Ends
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import find_row, search_for
@@ -102,11 +102,11 @@ class Postures:
         Returns:
             The joint values in the order of the starts, and whether a target is proven out of reach for all joint values.
         """
-        plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
+        plan, unit = self.quick if quick else self.plan, self.robot.chain.unit
         rows = np.zeros((len(starts), plan.width))
         plan.run(T.reshape(-1, *self.robot.pose_shape), self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]
-        found = rows[status == CODE.converged, SIZE.answer : SIZE.answer + n] / unit
+        found = rows[status == CODE.converged, plan.q_columns] / unit
         if not len(found):
             return found, bool((status == CODE.unreachable).any())
         turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)

@@ -116,7 +116,7 @@ class Run:
         """
         self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
-        self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
+        self.count, self.most = len(times) - 1, int(np.ceil(min(stretch * (len(times) - 1), MAX_STEPS)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
         self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` replaces `fine` by more samples
         tracker._late = LATE * self.dt

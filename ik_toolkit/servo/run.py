@@ -194,7 +194,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     """Return the result of a run in m and rad, without figures and verdict."""
     robot, references, clock = run.tracker.robot, run.references, best.clock.s
     Q, R = best.Q * robot.chain.unit, best.R * robot.chain.unit
-    done = len(Q) - 1
+    t, done = np.arange(len(Q)) * run.dt, len(Q) - 1
     targets = np.stack([one.at(clock)[0] for one in references], axis=1)
     tips = robot.chain.forward(Q)[0].reshape(targets.shape)
     errors = best.E.reshape(done + 1, -1, 6)
@@ -209,7 +209,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         options=run.tracker.engine.settings(run.dt),
         dt=run.dt,
         joint_names=robot.joint_names,
-        t=np.arange(done + 1) * run.dt,
+        t=t,
         q=Q,
         rate=R,
         xyz=tips[:, tip, :3, 3],
@@ -228,7 +228,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         orientation_tolerance=float(run.tolerances[1]),
         settle=run.settle,
         clock=clock,
-        sigma=best.clock.rate[1:],
+        sigma=np.minimum(np.diff(clock) / np.diff(t), 1.0),  # `clock.rate` is at the samples, this the mean of a step
         pace=best.clock.joint[:done],
         end=float(run.times[-1]),
         tips=robot.tips,

@@ -223,11 +223,11 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     It is 0 if they are stable at no sample time. delay: age of the measured position in samples, whatever the sample time.
     """
     if delay and method in ("cv", "ca"):
-        low, high = 0.0, longest_step(method, **gains)  # With a delay the longest step is not longer than without.
-        for _ in range(50 if high > 0.0 else 0):
-            middle = 0.5 * (low + high)
-            stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
-            low, high = (middle, high) if stable else (low, middle)
+        low, high, tried = 0.0, math.inf, longest_step(method, **gains)  # a small delay may allow longer steps
+        for _ in range(52 if tried > 0.0 else 0):
+            stable = spectral_radius(delayed_matrix(method, tried, delay, **gains)) < 1.0
+            low, high = (tried, high) if stable else (low, tried)
+            tried = min(0.5 * (low + high), 2.0 * tried)
         return low
     if method == "cv":
         return 1.0 / gains["kappa"] if gains["kappa"] > 0.0 else 0.0

@@ -18,7 +18,7 @@ from .workspace import samples_of
 class StatusThresholds(NamedTuple):
     """Thresholds by which the status of a tracker's step is judged."""
 
-    # [m] a larger error is explained by a joint limit or the edge of the reach, where one prevents its correction
+    # [m] A larger error is explained by a joint limit or the edge of the reach, where one of them prevents its correction.
     position: float = 1e-3
     angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
@@ -233,7 +233,7 @@ class Step:
             doubted = o.lag > 1.0 and not o.resynced
             what = "the target is not finite" if not o.finite else doubt if doubted else "the step is not finite"
             return "; ".join([*parts, f"{what}: braking and holding"])
-        if status is StepStatus.FOLLOWING_ERROR:
+        if o.lag > 0.5 and not o.resynced:  # said whatever the status: a move to another posture goes before it
             parts.append(unread or "the measured joints are far from the commanded ones")
         if self.position_error > FAR_AWAY * o.by.robot.reach:
             parts.append("were millimetres meant?")

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel.checks import CODE
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..robot.geometry.collision import CollisionModel
 from .options import AVOID, PLAIN, avoided
 from .status import Status
@@ -54,12 +54,11 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     def step(outcome: Any) -> Any:
         if outcome.row[AT.status] != CODE.converged:
             return outcome
-        n = plan.robot.n
-        if model.collides(outcome.row[SIZE.answer : SIZE.answer + n]):
+        if model.collides(outcome.row[plan.q_columns]):
             outcome = _another(single, model, outcome)
         for improve in then:
             better = improve(outcome)
-            if not model.collides(better.row[SIZE.answer : SIZE.answer + n]):
+            if not model.collides(better.row[plan.q_columns]):
                 outcome = better
         return outcome
 
@@ -83,7 +82,7 @@ def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarra
 def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
     """Return the outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
     o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
-    q = slice(SIZE.answer, SIZE.answer + robot.n)
+    q = single.q_columns
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)

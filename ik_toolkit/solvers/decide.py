@@ -53,7 +53,7 @@ class DecisionMargins(NamedTuple):
     # [rad] an answer at most `same` farther from q0 than the nearest listed solution counts as the nearest solution
     same: float = 1e-6
     # Where a solution breaks a limit by d, configurations inside that limit miss the target by at least about d times a measured
-    # factor (`EliminationAnswer.gain`). Only if that product exceeds e by the factor `gain` does the solution count as beyond its
+    # factor (`closure.least_gain`). Only if that product exceeds e by the factor `gain` does the solution count as beyond its
     # limits.
     gain: float = 10.0
     # If a configuration has both errors below `beside` times their tolerances, nothing is decided: a configuration nearby may trade
@@ -281,7 +281,7 @@ class Deciding(Plan):
             return
         rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
         self.run(T[still], kinds, starts, given, rest)
-        far = [np.linalg.norm(rows[:, SIZE.answer : SIZE.answer + N] - starts, axis=1) for rows in (rest, made[still])]
+        far = [np.linalg.norm(rows[:, self.q_columns] - starts, axis=1) for rows in (rest, made[still])]
         taken = (made[still, AT.status] != CODE.converged) | (rest[:, AT.status] == CODE.converged) & (far[0] < far[1])
         made[still[taken]] = rest[taken]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..kernel.checks import CODE
 from ..kernel.kinematics import RATIO, TAU
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..text import how_many
 from .closed_form.geometry import Family
 from .options import PLAIN
@@ -54,7 +54,7 @@ def search_solutions(
     (1, 4, 4), or (1, F, 4, 4) for several tips: the target; kinds: its kinds; count: largest number of solutions returned if
     there are infinitely many.
     """
-    robot, o, n = plan.robot, plan.options, plan.robot.n
+    robot, o = plan.robot, plan.options
     tight = {
         "position_tolerance": min(THRESHOLDS.tight, o.position_tolerance),
         "orientation_tolerance": min(THRESHOLDS.tight, o.orientation_tolerance),
@@ -66,7 +66,7 @@ def search_solutions(
         Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
     out = out[out[:, AT.status] == CODE.converged]
-    answers = out[:, SIZE.answer : SIZE.answer + n]
+    answers = out[:, single.q_columns]
     turning, limited = turning_joints(plan)
     near = start[0, turning] + np.remainder(answers[:, turning] - start[0, turning] + np.pi, 2 * np.pi) - np.pi
     if limited:
@@ -145,7 +145,7 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple) -> tu
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
     began = np.vstack([found.q[where]] * 2)
-    moved = _apart(out[:, SIZE.answer : SIZE.answer + robot.n], began, robot.chain.unit, turning)
+    moved = _apart(out[:, single.q_columns], began, robot.chain.unit, turning)
     another = (out[:, AT.status] == CODE.converged) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()

@@ -8,11 +8,11 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, how_many, length
 from .decide import blocked
-from .options import GROUPS
+from .options import GROUPS, PLAIN
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
 from .task import all_errors, counted_rows, what_counts
 
@@ -171,7 +171,7 @@ def _outside(result: Any) -> str:
     if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
         return ""
     row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
-    q = row[SIZE.answer : SIZE.answer + robot.n]
+    q = row[of.plan.q_columns]
     turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
     q = q - TAU * turns
     over = np.maximum(robot.lower - q, q - robot.upper)
@@ -203,14 +203,15 @@ def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     such errors are returned with the weights, and are then not in metres and radians.
     """
     of = result._of
-    masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
+    counts = what_counts(result.robot, of.plan.options)
+    masks = [one.mask for one in counts if one.mask]
     if all(weight in (0.0, 1.0) for mask in masks for weight in mask):
         return of.left(), True
     if not of.T.size:  # a solved row of a batch keeps no target
         return of.left(), False
     mask = {
         tip: None if one.mask is None else tuple(float(weight > 0.0) for weight in one.mask)
-        for tip, one in zip(result.robot.tips, what_counts(result.robot, of.plan.options), strict=True)
+        for tip, one in zip(result.robot.tips, counts, strict=True)
     }
     each = all_errors(result.robot, result.q, of.T, of.kinds, replace(of.plan.options, mask=mask))
     return [(position, angle) for _, position, angle in each], True
@@ -356,13 +357,11 @@ def position_alone(result: Any, turned: bool) -> str:
     of = result._of
     if of.kinds != (KIND.pose,) or not of.T.size or of.plan.options.in_part:
         return ""
-    plan = of.plan.search(
-        mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, max_evaluations=None, timeout=None, follow=0.0,
-        closest=False, objective=None, history=False, avoid_collisions=False,
-    )  # fmt: skip
-    q = of.row[SIZE.answer : SIZE.answer + result.robot.n]
-    row = plan.solve(of.T, of.kinds, q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[SIZE.answer : SIZE.answer + len(q)], of.T, of.kinds, plan.options)
+    mask = (1.0, 1.0, 1.0, FAINT, FAINT, FAINT)
+    more: dict[str, Any] = {"restarts": ATTEMPTS - 1, "max_evaluations": None, "timeout": None, "follow": 0.0}
+    plan = of.plan.search(**PLAIN, **more, mask=mask)
+    row = plan.solve(of.T, of.kinds, result.q[None], True)
+    ((raw, _, _),) = all_errors(result.robot, row[plan.q_columns], of.T, of.kinds, plan.options)
     if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
         return ""
     if turned:

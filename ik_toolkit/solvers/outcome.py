@@ -70,7 +70,7 @@ class SolveRecord(NamedTuple):
         return [float(self.row[AT.excess])] if len(self.kinds) == 1 else self._misses()[:, 2].tolist()
 
     def _misses(self) -> np.ndarray:
-        return self.row[SIZE.answer + self.plan.robot.n :].reshape(-1, SIZE.miss)
+        return self.row[self.plan.q_columns.stop :].reshape(-1, SIZE.miss)
 
 
 # `make_outcome(values)` makes a record 0.2 microseconds faster than a call of the class.

@@ -42,8 +42,8 @@ class Plan:
     """A solver made ready for one robot and its options: the compiled function, the arrays that it takes, and what runs after it.
 
     `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the indices in q of
-    the joints with weight 0; `steps` are the functions that check and improve an answer, `improving` those that improve it (see
-    `postprocess.finishing`).
+    the joints with weight 0; a result row has `width` numbers, q in its `q_columns`; `steps` are the functions that check and
+    improve an answer, `improving` those that improve it (see `postprocess.finishing`).
     """
 
     # whether a failed target of a batch keeps the q at which its search ended, instead of the closest one; see `stripped`
@@ -67,6 +67,7 @@ class Plan:
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
         self.width = SIZE.answer + robot.n + SIZE.miss * (len(robot.tips) if len(robot.tips) > 1 else 0)
+        self.q_columns = slice(SIZE.answer, SIZE.answer + robot.n)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # cache for callers that store derived data with the plan

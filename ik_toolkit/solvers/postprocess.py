@@ -109,7 +109,7 @@ def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bo
         _descend(plan, T, kinds, start, given, rows)
     for row in rows:
         if row[AT.status] == CODE.limit_blocked and row[AT.excess] != DECIDED and plan.descends:
-            if not plan.robot.at_limits(row[SIZE.answer : SIZE.answer + plan.robot.n]):
+            if not plan.robot.at_limits(row[plan.q_columns]):
                 row[AT.status] = CODE.stalled
 
 
@@ -132,7 +132,7 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
         return
     for q in (start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)):
         made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CODE.converged
-        made[:, SIZE.answer : SIZE.answer + robot.n] = q
+        made[:, plan.q_columns] = q
         lower(made, left)
         rows[:, AT.evaluations] = made[:, AT.evaluations]
         better = before & ((left < least) | (made[:, AT.status] == CODE.converged))
@@ -176,7 +176,7 @@ def record(outcome: Any) -> Any:
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
     history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)[1]
     last = outcome.row
-    q = last[SIZE.answer : SIZE.answer + plan.robot.n]
+    q = last[plan.q_columns]
     if not (history[:, SIZE.past :] == q).all(axis=1).any():
         history = np.vstack([history, [last[AT.position], last[AT.rotation], last[AT.attempt], *q]])
     if all(angle is None for _, angle in outcome.left()):
@@ -197,7 +197,7 @@ def improve(outcome: Any) -> Any:
     row, what = row.copy(), getattr(OBJECTIVE, plan.options.objective.replace("-", "_"))
     orders = plan.orders(outcome.kinds, outcome.given)
     refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, MOST.improving)
-    q = row[SIZE.answer : SIZE.answer + plan.robot.n]
+    q = row[plan.q_columns]
     # The better q is taken only if Pinocchio confirms it: it often lies at the very edge of a tolerance, where rounding decides.
     return outcome._replace(row=row) if confirmed(plan, q, outcome.T[0], outcome.kinds) else outcome
 
@@ -205,8 +205,7 @@ def improve(outcome: Any) -> Any:
 def confirm(outcome: Any) -> Any:
     """Compute the errors again with Pinocchio; a success that it does not confirm becomes a failure."""
     plan, kinds = outcome.plan, outcome.kinds
-    n = plan.robot.n
-    errors = counted_errors(plan.robot, outcome.row[SIZE.answer : SIZE.answer + n], outcome.T[0], kinds, plan.options)
+    errors = counted_errors(plan.robot, outcome.row[plan.q_columns], outcome.T[0], kinds, plan.options)
     outcome = outcome._replace(errors=errors)
     if outcome.row[AT.status] != CODE.converged or inside(errors, plan):
         return outcome
@@ -234,7 +233,7 @@ def mark_open(plan: Any, rows: np.ndarray) -> None:
     """Set the status CONSTRAINT_OPEN in converged result rows (m, width) whose q breaks a constraint of the robot's description."""
     if plan.robot.constraints:
         for k in np.flatnonzero(rows[:, AT.status] == CODE.converged):
-            if not constraints_of(plan.robot, rows[k, SIZE.answer : SIZE.answer + plan.robot.n], plan.options).holds:
+            if not constraints_of(plan.robot, rows[k, plan.q_columns], plan.options).holds:
                 rows[k, AT.status] = Status.CONSTRAINT_OPEN
 
 

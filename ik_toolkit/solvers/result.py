@@ -7,7 +7,7 @@ import numpy as np
 from ..copying import ReadOnly
 from ..errors import InvalidConfiguration, InvalidTarget, NotSolved
 from ..kernel.counted_error import KIND
-from ..kernel.records import AT, SIZE
+from ..kernel.records import AT
 from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
@@ -63,7 +63,7 @@ class Result(ReadOnly):
     @property
     def q(self) -> np.ndarray:
         """Joint values (n,) [rad or m]; the best configuration evaluated if the solve failed."""
-        return self._of.row[SIZE.answer : SIZE.answer + self._of.plan.robot.n]
+        return self._of.row[self._of.plan.q_columns]
 
     @property
     def status(self) -> Status:

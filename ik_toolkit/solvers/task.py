@@ -27,11 +27,6 @@ class Counts(NamedTuple):
     free_turn: tuple[float, ...] | None
     frame: str
 
-    @property
-    def in_part(self) -> bool:
-        """Whether only a part of the error counts."""
-        return any(part is not None for part in self[:3])
-
 
 # ----------------------------------------------------------------------------------------------------------- what counts
 def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:

@@ -80,14 +80,13 @@ def calibrate(
     arm = DrawnArm(robot, groups)
     _require_enough(arm, data, Q)
     sign, share = joint_signs(robot, groups, data, Q)
-    arm.sign[:] = sign
+    arm = DrawnArm(robot, groups, sign)
     if what in ("pose", "position"):
         _require_same_frame(arm, data, Q)
     fit = ArmFit(arm, data, Q, arm.scales(*spread), sigma)
     fit.settle()
     fit, better = _with_last_sign(fit, sigma)
-    drawn = first_guess(fit.arm, data, Q)
-    before = fit.errors(drawn, data.start(fit.arm.poses(drawn, Q)))
+    before = fit.errors(*fit.first)
     fixed, ranks = _settle_convention(fit)
     names = [joint for joint, one in zip(robot.joint_names, fit.arm.sign, strict=True) if one < 0.0]
     return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share * better))
@@ -135,8 +134,7 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
     if "base" in arm.groups:
         return
     off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
-    moved = DrawnArm(arm.robot, ("base",))
-    moved.sign = arm.sign
+    moved = DrawnArm(arm.robot, ("base",), arm.sign)
     left = np.median(np.linalg.norm(moved.poses(first_guess(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
     if off > ELSEWHERE * arm.robot.reach and left < 0.2 * off:
         raise InvalidTarget(
@@ -153,19 +151,17 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
     left = fit.typical()
     found, least = fit, 1.0
     for i in reversible(fit.arm.robot, fit.Q) if left > DOUBTFUL else []:
-        arm = DrawnArm(fit.arm.robot, fit.arm.groups)
-        arm.sign[:] = fit.arm.sign
-        arm.sign[i] *= -1.0
+        sign = fit.arm.sign.copy()
+        sign[i] *= -1.0
+        arm = DrawnArm(fit.arm.robot, fit.arm.groups, sign)
         other = ArmFit(arm, fit.measured, fit.Q, fit.scales, sigma)
         other.x, other.z = other.run(other.kept, robust=True, most=30)
         if other.typical() < least * left:
             found, least = other, other.typical() / left
-    found = found if least < 0.5 else fit
-    # called for its side effect: `start` also sets the reference normals of the planes, which depend on the arm's signs
-    fit.measured.start(found.arm.poses(found.x, found.Q))
-    if found is not fit:
-        found.settle()
-    return found, least if found is not fit else 1.0
+    if least >= 0.5:
+        return fit, 1.0
+    found.settle()
+    return found, least
 
 
 def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:
@@ -178,7 +174,7 @@ def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int,
     N = fit.untold(fit.x, fit.z, fit.kept)
     drawn = could = len(names) - N.shape[1]
     if fit.measured.what in ("pose", "position"):
-        drawn = len(names) - fit.untold(first_guess(fit.arm, fit.measured, fit.Q), fit.z, fit.kept).shape[1]
+        drawn = len(names) - fit.untold(fit.first[0], fit.z, fit.kept).shape[1]
         could = _could_tell(fit)
     seen = np.linalg.norm(fit.weighted(fit.x, fit.z, fit.kept)[1], axis=0) > UNTOLD
     fixed = fit.fix(N) if N.shape[1] else {}

@@ -174,9 +174,7 @@ class Calibration(Tabled):
         return float(np.sqrt((self.before[kept] ** 2).mean())), float(np.sqrt((self.after[kept] ** 2).mean()))
 
     def _arm(self) -> DrawnArm:
-        arm = DrawnArm(self.drawn, self.parameters)
-        arm.sign = self.signs
-        return arm
+        return DrawnArm(self.drawn, self.parameters, self.signs)
 
     def fk(self, q: Any) -> pin.SE3:
         """Compute the corrected arm's tip pose [m] at measured joint values q (n,) [rad or m], in the frame of the measurements."""

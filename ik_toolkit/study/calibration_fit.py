@@ -33,12 +33,13 @@ class ArmFit:
     """A least-squares fit of an arm's errors to measurements, in progress.
 
     Attributes:
-        arm, measured, Q: The arm, the measurements and the joint values (N, n).
+        arm, measured, Q: The arm, a copy of the measurements for this fit, and the joint values (N, n).
         scales: Expected size (P,) of the unknowns x [m or rad]: the standard deviation of their prior.
         noise: Standard deviations [m, rad] of the measurements.
         kept: Which measurements (N,) count; the others are outliers.
         free: Which unknowns (P,) are fitted; the others are fixed at 0, the nominal arm.
         x, z: The unknowns of the arm, and of the touched sockets, planes or fixed ends.
+        first: The x and z with which the fit begins.
     """
 
     def __init__(
@@ -50,14 +51,20 @@ class ArmFit:
         except ImportError:
             raise MissingExtra("scipy", "tune") from None
         self._solve: Any = least_squares
-        self.arm, self.measured, self.Q, self.scales = arm, measured, Q, scales
+        self.arm, self.Q, self.scales = arm, Q, scales
         self.given = noise is not None
         self.noise = tuple(NOISE if noise is None else noise)
         self.kept = np.ones(len(Q), dtype=bool)
         self.free = np.ones(len(scales), dtype=bool)
         self.x = first_guess(arm, measured, Q)
-        self.z = measured.start(arm.poses(self.x, Q))
+        self.measured, self.z = measured.begun(arm.poses(self.x, Q))
+        self.first = self.x, self.z
         self.converged = True
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which unknowns (P + Z,) are fitted: the free ones of the arm, and all of the touched objects."""
+        return np.append(self.free, np.ones(len(self.z), dtype=bool))
 
     # -------------------------------------------------------------------------------------------------------- one fit
     def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,18 +84,20 @@ class ArmFit:
 
     def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
         """Fit the unknowns x and z to some measurements, from their present values, in at most `most` evaluations."""
-        P, free = len(self.x), self.free
-        used = np.append(free, np.ones(len(self.z), dtype=bool))
+        P, free, used = len(self.x), self.free, self.used
         start = np.append(self.x, self.z)
         prior = np.eye(int(free.sum()), int(used.sum()))
         last: dict[bytes, Any] = {}
 
+        def unknowns(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            every = start.copy()
+            every[used] = v
+            every[:P] *= np.where(free, self.scales, 1.0)
+            return every[:P], every[P:]
+
         def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             if v.tobytes() not in last:
-                every = start.copy()
-                every[used] = v
-                every[:P] *= np.where(free, self.scales, 1.0)
-                e, A = self.weighted(every[:P], every[P:], rows)
+                e, A = self.weighted(*unknowns(v), rows)
                 last.clear()
                 last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
             return last[v.tobytes()]
@@ -105,10 +114,7 @@ class ArmFit:
         how = {"loss": soft if robust else "linear", "x_scale": "jac", "max_nfev": most}
         made = self._solve(lambda v: at(v)[0], first[used], lambda v: at(v)[1], **how)
         self.converged = bool(made.status > 0)
-        every = start.copy()
-        every[used] = made.x
-        every[:P] *= np.where(free, self.scales, 1.0)
-        return every[:P], every[P:]
+        return unknowns(made.x)
 
     def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the residuals (N, per) [m, rad] of all measurements for unknowns x and z; each measurement gives `per` numbers."""
@@ -142,11 +148,10 @@ class ArmFit:
         """
         every = np.ones(len(self.Q), dtype=bool)
         e, A = self.weighted(self.x, self.z, every)
-        per, used = self.measured.per, np.append(self.free, np.ones(len(self.z), dtype=bool))
-        E, A = e[: len(every) * per].reshape(-1, per), A[: len(every) * per, used]
-        kept = A[np.repeat(self.kept, per)]
-        known = np.append(np.ones(int(self.free.sum())), np.full(len(self.z), 1e-6))
-        doubt = ((A @ covariance_root(kept, known).T) ** 2).sum(axis=1).reshape(-1, per)
+        per = self.measured.per
+        E, A = e[: len(every) * per].reshape(-1, per), A[: len(every) * per, self.used]
+        root = covariance_root(A[np.repeat(self.kept, per)], len(self.z))
+        doubt = ((A @ root.T) ** 2).sum(axis=1).reshape(-1, per)
         E = E / np.sqrt(1.0 + doubt * ~self.kept[:, None])
         far = np.zeros(len(E), dtype=bool)
         for part in (E[:, :3], E[:, 3:]) if per > 3 else (E,):
@@ -172,10 +177,8 @@ class ArmFit:
 
     def taken_up(self, rows: np.ndarray) -> float:
         """Return how many degrees of freedom of the data the fit uses up: the trace of its projection (hat) matrix."""
-        A = self.weighted(self.x, self.z, rows)[1]
-        Z = len(self.z)
-        A = A[:, np.append(self.free, np.ones(Z, dtype=bool))]
-        H = A.T @ A
+        A = self.weighted(self.x, self.z, rows)[1][:, self.used]
+        H, Z = A.T @ A, len(self.z)
         prior = np.diag(np.append(np.ones(len(H) - Z), np.zeros(Z)))
         return float(np.trace(np.linalg.pinv(H + prior, hermitian=True) @ H))
 
@@ -228,14 +231,12 @@ class ArmFit:
 
     def spread(self, every: bool = False) -> np.ndarray:
         """Return the covariance (P, P) of the unknowns [m, rad]: zero for fixed ones, or if `every` as if none were fixed."""
-        A = self.weighted(self.x, self.z, self.kept)[1]
         P = len(self.x)
-        used = np.append(np.ones(P, dtype=bool) if every else self.free, np.ones(len(self.z), dtype=bool))
-        A = A[:, used]
-        known = np.append(np.ones(int(used[:P].sum())), np.full(len(self.z), 1e-6))
+        used = np.full(P + len(self.z), True) if every else self.used
+        A = self.weighted(self.x, self.z, self.kept)[1][:, used]
         C = np.zeros((P, P))
         at = np.flatnonzero(used[:P])
-        W = covariance_root(A, known)[:, : len(at)]
+        W = covariance_root(A, len(self.z))[:, : len(at)]
         C[np.ix_(at, at)] = W.T @ W
         return C * np.outer(self.scales, self.scales)
 
@@ -259,8 +260,9 @@ class ArmFit:
         return found
 
 
-def covariance_root(A: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return W (P, P) with W' W = (A' A + diag(known))^-1, the covariance of a fit; as a square it has no negative variances."""
+def covariance_root(A: np.ndarray, touched: int) -> np.ndarray:
+    """Return W with W' W = (A' A + D)^-1, the covariance of a fit; D is 1 (the prior), and almost 0 for the last `touched`."""
+    known = np.append(np.ones(A.shape[1] - touched), np.full(touched, 1e-6))
     _, s, V = np.linalg.svd(np.vstack([A, np.diag(np.sqrt(known))]), full_matrices=False)
     return V / s[:, None]
 
@@ -305,8 +307,7 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 
     def left(sign: np.ndarray) -> float:
-        arm = DrawnArm(robot, loose)
-        arm.sign = sign
+        arm = DrawnArm(robot, loose, sign)
         fit = ArmFit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
         x, z = fit.run(fit.kept, robust=True, most=12)
         return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))

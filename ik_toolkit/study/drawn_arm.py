@@ -49,9 +49,9 @@ class DrawnArm:
         sign: Factor (n,) of 1 or -1 of the joint values.
     """
 
-    def __init__(self, robot: Robot, groups: Sequence[str]) -> None:
-        """Copy the model; groups: which errors are unknowns (joints, frames, tool, base)."""
-        self.robot, self.groups, self.sign = robot, tuple(groups), np.ones(robot.n)
+    def __init__(self, robot: Robot, groups: Sequence[str], sign: np.ndarray | None = None) -> None:
+        """Copy the model; groups: which errors are unknowns (joints, frames, tool, base); without `sign` no joint is reversed."""
+        self.robot, self.groups, self.sign = robot, tuple(groups), np.ones(robot.n) if sign is None else sign
         self.model = pin.Model(robot.model)
         base_id, tip_id = robot._ids
         tip = self.model.frames[tip_id]

@@ -111,8 +111,8 @@ class Measurements:
         """Return the number of measurements."""
         return len(self.lengths if self.what == "distance" else self.labels)
 
-    def taken(self, rows: np.ndarray) -> "Measurements":
-        """Return only the measurements `rows` (a mask or indices); sockets, planes or fixed ends keep their indices."""
+    def taken(self, rows: np.ndarray | slice) -> "Measurements":
+        """Return only the measurements `rows` (a mask, indices or a slice); sockets, planes or fixed ends keep their indices."""
         other = Measurements.__new__(Measurements)
         other.__dict__.update(vars(self))
         for name in ("positions", "rotations", "lengths", "labels"):
@@ -139,39 +139,33 @@ class Measurements:
                 "they metres already? Give metres (--length-unit m)"
             )
 
-    def names(self) -> list[str]:
-        """Return the names of the unknowns z: the coordinates of the sockets, planes or fixed ends that the tip touched."""
-        if self.what == "plane":
-            return [f"plane {k}.{part}" for k in range(self.count) for part in ("tilt 1", "tilt 2", "distance")]
-        word = "socket" if self.what == "socket" else "fixed end"
-        return [f"{word} {k}.{part}" for k in range(self.count) for part in "xyz"]
-
     def sigma(self, noise: Sequence[float]) -> np.ndarray:
         """Return the standard deviation (per,) of the numbers that one measurement gives, for a noise (length [m], angle [rad])."""
         return np.array([noise[0]] * 3 + [noise[1]] * 3)[: self.per]
 
     # --------------------------------------------------------------------------------------------------------- errors
-    def start(self, T: np.ndarray) -> np.ndarray:
-        """Return a first estimate of z (positions of sockets or fixed ends, planes) from tip poses T (N, 4, 4)."""
-        p = T[:, :3, 3]
-        if self.places is not None:
-            return self.places.ravel().copy()
+    def begun(self, T: np.ndarray) -> tuple["Measurements", np.ndarray]:
+        """Return a copy for one fit that begins at tip poses T (N, 4, 4), and a first estimate of z there.
+
+        The tilts of a plane count from the plane through the tip positions, whose normals the copy keeps.
+        """
+        p, made, z = T[:, :3, 3], self.taken(slice(None)), [np.empty(0)]
         each = [p[self.labels == k] for k in range(self.count)]
-        if self.what == "socket":
-            return np.concatenate([points.mean(0) for points in each])
-        if self.what == "distance":
-            ends = []
+        if self.places is not None:
+            z = [self.places.ravel()]
+        elif self.what == "socket":
+            z = [points.mean(0) for points in each]
+        elif self.what == "distance":
             # A fixed end a at distance L from p satisfies |p|^2 - L^2 = 2 p a - |a|^2, which is linear in a and |a|^2.
             for k, points in enumerate(each):
                 L = self.lengths[self.labels == k]
                 A = np.column_stack([2.0 * points, -np.ones(len(points))])
-                ends.append(np.linalg.lstsq(A, (points**2).sum(1) - L**2, rcond=1e-6)[0][:3])
-            return np.concatenate(ends)
-        if self.what == "plane":
-            self._normals = np.array([np.linalg.svd(points - points.mean(0))[2] for points in each])
-            far = [N[2] @ points.mean(0) for N, points in zip(self._normals, each, strict=True)]
-            return np.ravel([(0.0, 0.0, d) for d in far])
-        return np.empty(0)
+                z.append(np.linalg.lstsq(A, (points**2).sum(1) - L**2, rcond=1e-6)[0][:3])
+        elif self.what == "plane":
+            made._normals = np.array([np.linalg.svd(points - points.mean(0))[2] for points in each])
+            far = [N[2] @ points.mean(0) for N, points in zip(made._normals, each, strict=True)]
+            z = [np.array([0.0, 0.0, d]) for d in far]
+        return made, np.concatenate(z)
 
     def errors(self, T: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the residuals (N, per) [m, rad] of the measurements at tip poses T (N, 4, 4), and their derivatives.

@@ -1,12 +1,14 @@
 """The cells of a map of reach, and the poses asked for at their centres."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..kernel.checks import RIGID
 from ..kernel.counted_error import KIND
 from ..robot.robot import Robot
 from ..solvers.batch.targets import ROUGH, known, mended
@@ -130,7 +132,7 @@ def grid_of(
         box = floats(
             region, "region must be two corners, (lower, upper) (3,) each [m], or poses (N, 4, 4)", InvalidOption
         )
-        if box.shape != (2, 3) or not np.isfinite(box).all() or not np.all(box[0] <= box[1]):
+        if box.shape != (2, 3) or not (np.abs(box) < RIGID.far).all() or not np.all(box[0] <= box[1]):
             raise InvalidOption(
                 f"region must be two corners, (lower, upper) (3,) each [m], the lower first, or poses (N, 4, 4), not {region!r:.80}"
             )
@@ -139,7 +141,13 @@ def grid_of(
     if resolution is None:
         resolution = float(wide.max()) / EFFORT.cells or 1.0
     pitch = positive(resolution, "resolution [m]")
-    counts = np.maximum(np.ceil(wide / pitch - 1e-9), 1.0)
+    with np.errstate(over="ignore"):
+        counts = np.maximum(np.ceil(wide / pitch - 1e-9), 1.0)
+        cells = counts.prod()
+    if cells > np.iinfo(np.int64).max:
+        raise InvalidOption(
+            f"a resolution of {pitch:g} m makes {cells:.3g} cells; make it coarser, or the region smaller"
+        )
     size = np.where(wide > 0.0, pitch, 0.0)
     # whole cells are a little larger than the region, so they are centred in it
     low = 0.5 * (low + high) - 0.5 * size * counts
@@ -182,7 +190,7 @@ def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
                 f"orientations must be 'any', a number of tool axes, or rotations, not '{orientations:.60}'"
             )
         return None, False
-    if np.ndim(orientations) == 0:
+    if not isinstance(orientations, Iterable) or getattr(orientations, "ndim", 1) == 0:
         count = whole(orientations, "the number of orientations")
         if count > MOST_AXES:
             raise InvalidOption(f"at most {MOST_AXES:,} tool axes are asked for at each place, not {count:,}")

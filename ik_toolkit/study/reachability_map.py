@@ -123,7 +123,10 @@ class ReachabilityMap(Tabled):
         """Return the cells (N,) of poses (N, 4, 4) or positions (N, 3), the nearest orientations (N,), and whether these count."""
         if self.grid.poses is not None:
             raise InvalidOption("this map is about loose poses: map.reached has their answers, in their order")
-        T = np.asarray(poses)
+        try:
+            T = np.asarray(poses)
+        except ValueError:
+            raise InvalidTarget("poses must all be poses (4, 4), or all positions (3,)") from None
         if T.shape[1:] not in ((4, 4), (3,)):
             one = check_target(poses)[0]  # `poses` may be a single pose or position in any accepted form
             T = np.asarray(one)[None]
@@ -178,7 +181,8 @@ class ReachabilityMap(Tabled):
         first, size, count = self.grid.low_centre[k], self.grid.size[k], self.grid.shape[k]
         if at is None:
             at = first + size * (count // 2)
-        row = 0 if size == 0.0 else round((number(at, f"{axis} [m]") - first) / size)
+        near = min(max(number(at, f"{axis} [m]"), first - size), first + size * count)
+        row = 0 if size == 0.0 else round((near - first) / size)
         if not 0 <= row < count:
             ends = f"{first:.4g} to {first + size * (count - 1):.4g} m"
             raise InvalidOption(f"the planes of this map across {axis} are at {ends}, not at {at:.4g} m")

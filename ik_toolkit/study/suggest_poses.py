@@ -95,12 +95,10 @@ def chosen_poses(
         gain[picked] = -np.inf
         return int(gain.argmax())
 
-    for _ in range(count):
-        picked.append(best(M))
-        M = M + J[picked[-1]].T @ J[picked[-1]]
-    for _ in range(count):
-        first = picked.pop(0)
-        M = M - J[first].T @ J[first]
+    for k in range(2 * count):
+        if k >= count:
+            first = picked.pop(0)
+            M = M - J[first].T @ J[first]
         picked.append(best(M))
         M = M + J[picked[-1]].T @ J[picked[-1]]
     return _in_short_moves(Q[picked], arm.robot.home)

@@ -117,14 +117,12 @@ class WorkspaceInterrupted(Interrupted):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
 
 
-def envelope(
-    robot: Robot | Tree, count: int = SIZES.envelope, seed: int = 0, *, tip: str | None = None
-) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+def envelope(robot: Robot | Tree, *, tip: str | None = None) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
     """Return the reach of a tip: corners of its box (low, high) (3,) and least and largest distance from the base's origin [m].
 
-    It is sampled at `count` random configurations, so the true reach is a little larger.
+    It is sampled at random configurations, so the true reach is a little larger.
     """
-    points = sample_targets(robot, count, seed, position_only=True, tip=one_tip(robot, tip))
+    points = sample_targets(robot, SIZES.envelope, position_only=True, tip=one_tip(robot, tip))
     away = np.linalg.norm(points, axis=1)
     return points.min(0), points.max(0), (float(away.min()), float(away.max()))
 

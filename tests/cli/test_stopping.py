@@ -13,7 +13,7 @@ import pytest
 import robots
 from folders import csv_rows
 
-from ik_toolkit.cli import batch, bench, main, path, reach, tune, workspace
+from ik_toolkit.cli import batch, bench, main, path, place, reach, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
 from ik_toolkit.servo.tracker import Tracker
@@ -101,6 +101,8 @@ COMMANDS = {
     "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
              lambda out: len(np.load(out)["q"]), 30),
     "reach": (["reach", "planar_2r", "--resolution", "0.02", "-o", "OUT.npz"], at_progress(reach), answers_of, 45_000),
+    "place": (["place", "planar_2r", "--poses", "in.csv", "-o", "OUT.csv"], at_progress(place),
+              lambda out: len(csv_rows(out)), 5),
     "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "4", "--held-out", "1", "-o", "OUT.toml"],
              at_progress(tune), lambda out: out.read_text().count("solver"), 100),
     "reproduce": (["reproduce", "chinyai", "-o", "."], in_the_report,

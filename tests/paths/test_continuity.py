@@ -8,6 +8,7 @@ import pytest
 import robots
 import trees
 from motions import followed, moved, plan_for, tips
+from serial_arms import drawn
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import AXIS, KIND
@@ -170,3 +171,10 @@ def test_a_stretch_that_no_motion_follows_stays_and_says_so():
     curve, at, cut = densify(plan, (KIND.position,), q, T, [], (0.12, 0.02), (1e-3, 0.02))
     assert len(curve) == 2 and not cut.any()
     assert check(plan, (KIND.position,), curve, at, T, cut).largest[0] > 1e-3
+
+
+def test_a_joint_that_leaps_by_more_than_a_turn_is_a_reconfiguration():
+    """The bound between its two rows is half a turn (and no product of zero and infinity, which pytest makes an error)."""
+    robot = drawn([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -3.3, 3.3)], (0, 0, 0))
+    made = ik.solve_path(robot, [robot.fk([-3.2]), robot.fk([3.2])], q0=[-3.2], q_end=[3.2])
+    assert made.status.name == "RECONFIGURES" and made.q.ravel() == pytest.approx([-3.2, 3.2])

@@ -10,7 +10,7 @@ import pytest
 import trees
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption, NotSolved
+from ik_toolkit.errors import FrameNotFound, InvalidOption, NotSolved
 from ik_toolkit.kernel.counted_error import KIND
 from ik_toolkit.paths.contact import connect
 from ik_toolkit.paths.continuity import interpolate_poses
@@ -175,6 +175,8 @@ def test_files_and_references_say_what_the_arrays_do(tmp_path):
     smooth = np.abs((Va - Vb) / (2 * h) - A).max(axis=1) < 1e-2  # but where the acceleration itself jumps
     assert smooth.mean() > 0.8
     np.testing.assert_allclose(T[0], robot.fk(made.at(float(t[0]))[0]).homogeneous, atol=1e-9)
+    with pytest.raises(FrameNotFound, match="not one of the tips"):
+        made.to_reference(np.eye(4))
 
 
 @pytest.mark.parametrize("name", ["hydrolek_7w", "planar_3r"])

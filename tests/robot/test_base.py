@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import branches, filled, joint, load
+from robots import branches, filled, joint, load, tie
 
 import ik_toolkit as ik
 from ik_toolkit import cli
@@ -129,6 +129,26 @@ def test_mistakes(options, error, said):
 def test_names_that_a_robot_has_already():
     with pytest.raises(InvalidOption, match="already has a joint 'base_x'"):
         ik.Robot.load(branches(joint("base_x", "prismatic", "o", "a")), on_base="planar", base_limits=(0, 1))
+
+
+@pytest.mark.parametrize("mimic", ["", tie("b")])
+def test_a_joint_and_a_link_may_have_the_same_name(mimic):
+    """Pinocchio's own functions for a model on another one do not tell them apart."""
+    text = branches(
+        joint("b", "revolute", "o", "b"),
+        joint("elbow", "revolute", "b", "c", axis="0 1 0", mimic=mimic),
+        joint("tool", "fixed", "c", "tool"),
+    )
+    alone = ik.Robot.load(text, tip="tool")
+    model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer(), bool(mimic))
+    for robot in (
+        ik.Robot.load(text, tip="tool", on_base=ik.pose((0, 0, 0))),
+        ik.Robot.load(text, tip="tool", on_base="rail", base_limits=(0, 1)),
+        ik.Robot(model, tip="tool", base_limits=(-1, 1), urdf=text),
+    ):
+        q = np.append(np.zeros(robot.n - alone.n), alone.home)
+        assert robot.fk(q).isApprox(alone.fk(alone.home), 1e-12) and robot.joint_names[-alone.n :] == alone.joint_names
+        assert [frame.name for frame in robot.model.frames].count("tool") == 2
 
 
 @pytest.mark.parametrize("flyer", [pin.JointModelFreeFlyer, pin.JointModelPlanar])

@@ -171,6 +171,7 @@ def test_errors_name_row_and_column(change, message):
             "row 1 of the D-H table has 3 cells",
         ),
         ("t.csv", b"", "setting 'convention' is missing (in a CSV file, a line '# convention = ...')"),
+        ("t.csv", b"name,a,a,lower,upper\nj,1,2,-1,1\n", "the column a more than once"),
         ("t.txt", b"", ".toml or .csv"),
         ("t.toml", b"d = " + b"9" * 10_000, "not valid TOML"),
         ("t.toml", b"#" * 1_000_001, "larger than 1 MB"),

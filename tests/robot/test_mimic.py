@@ -135,6 +135,15 @@ def test_followers_that_leave_their_leader_no_position_are_named():
     assert ik.Robot.load(text.replace('upper="0.1"', 'upper="0.4"'), tip="b").upper[0] == 0.4
 
 
+def test_a_follower_held_outside_its_limits_is_said():
+    """With the multiplier 0 it stands at its offset wherever its leader is, and narrows nothing."""
+    held = joint("held", "revolute", "a", "b", limits=(0.5, 1.0), mimic=tie("lead", 0, 0.2))
+    text = branches(joint("lead", "revolute", "o", "a"), held)
+    said = "joint 'held' stays at 0.2, outside its limits: its multiplier of 'lead' is 0"
+    assert ik.Robot.load(text, tip="b").notes == (said,)
+    assert not ik.Robot.load(text.replace('offset="0.2"', 'offset="0.7"'), tip="b").notes
+
+
 def test_a_mesh_scale_that_is_none_and_a_missing_name_do_not_stop_a_robot():
     shape = '<visual><geometry><mesh filename="a.stl" scale="1 1"/></geometry></visual>'
     text = filled(HAND, {"index": shape}).replace(' name="hand"', "")

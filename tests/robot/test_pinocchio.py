@@ -1,5 +1,6 @@
 """What Pinocchio's own people bring: their models, shapes, RobotWrapper and visualisers."""
 
+import copy
 import pickle
 
 import numpy as np
@@ -165,6 +166,28 @@ def test_a_urdf_beside_a_model_is_a_text_or_a_path(tmp_path):
         ik.Robot(urdf=file)
     with pytest.raises(RobotNotFound, match=r"there is no file 'nowhere\.urdf'"):
         ik.Robot(model, urdf="nowhere.urdf")
+
+
+@pytest.mark.parametrize("change", ["moved", "fewer joints", "free-flyer"])
+def test_a_model_that_its_urdf_does_not_describe_stays_as_it_is(change, tmp_path, caplog):
+    """The model counts: a copy has its kinematics, a written file is said to be without them, and no correction is written."""
+    text = load("hydrolek_7w").urdf
+    model, limits = pin.buildModelFromXML(text), None
+    if change == "moved":
+        model.jointPlacements[3] *= pin.SE3(np.eye(3), np.array([0.004, 0.0, 0.0]))
+    elif change == "fewer joints":
+        model = pin.buildReducedModel(model, [2], pin.neutral(model))
+    else:
+        model, limits = pin.buildModelFromXML(text, pin.JointModelFreeFlyer()), (-1, 1)
+    robot = ik.Robot(model, tip="tool", urdf=text, base_limits=limits)
+    for again in (copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
+        assert np.array_equal(again.fk(again.home).homogeneous, robot.fk(robot.home).homogeneous)
+    robot.write(tmp_path / "arm.urdf")
+    assert "without the other joints or lengths of the given model" in caplog.text
+    Q = robot.random_q(np.random.default_rng(0), 20)
+    found = ik.calibrate(robot, Q, [robot.fk(q).translation for q in Q], parameters=["joints"])
+    with pytest.raises(ModelError, match="does not describe the model it was made from"):
+        found.write(tmp_path / "corrected.urdf")
 
 
 def test_a_mimic_joint_that_is_free_in_the_model_is_said():

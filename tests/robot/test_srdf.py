@@ -185,6 +185,14 @@ def test_passive_joints_are_held():
     assert robot(every).n == 5  # nothing would be left to solve for
 
 
+@pytest.mark.parametrize(("name", "joint"), [("inspection_7dof", "lift"), ("brokk_hydrolek", "turret")])
+def test_a_passive_joint_of_a_shipped_robot_is_left_out_of_its_home(name, joint):
+    load = ik.Robot.load if name == "inspection_7dof" else ik.Tree.load
+    arm, held = load(name), load(name, srdf=f'<robot name="{name}"><passive_joint name="{joint}"/></robot>')
+    assert held.joint_names == tuple(one for one in arm.joint_names if one != joint)
+    assert held.home.tolist() == [x for x, one in zip(arm.home, arm.joint_names, strict=True) if one != joint]
+
+
 def test_a_passive_joint_beside_the_path_rests_where_it_may_and_is_not_called_locked():
     """So does one without limits, and one that has several coordinates is left as it is."""
     text = branches(
@@ -209,6 +217,17 @@ def test_a_passive_joint_beside_the_path_rests_where_it_may_and_is_not_called_lo
     assert turned.locked_joints == {"free": 0.7, "high": 0.5} and turned.joint_names == ("a", "b")
     other = ik.Robot.load(text, tip="end", srdf=f'<robot name="r">{passive}</robot>')
     assert other.joint_names == ("a",) and other.locked_joints == {"low": -0.1, "high": 0.4}
+
+
+def test_an_end_effector_may_be_on_a_link_with_the_name_of_a_joint():
+    text = branches(
+        joint("a", "revolute", "o", "a"), joint("b", "revolute", "a", "b"), joint("tool", "fixed", "b", "tool")
+    )
+    srdf = (
+        '<robot name="r"><group name="arm"><joint name="a"/><joint name="b"/></group>'
+        '<end_effector name="gripper" parent_link="tool" group="hand" parent_group="arm"/></robot>'
+    )
+    assert ik.Robot.load(text, srdf=srdf, group="arm").tip == "tool"
 
 
 # ----------------------------------------------------------------------------------------------------------- where it lies

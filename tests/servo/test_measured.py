@@ -139,3 +139,13 @@ def test_wrong_measurements_move_nothing_beyond_a_limit(wrong, length):
             assert k == 20 or (step.status is StepStatus.HELD and "measured joints" in step.reason)
             assert ("the measured joints are not finite" in step.reason) == (wrong == "nan")
     assert np.abs(step.q - q0).max() < 1e-3 and step.status is StepStatus.OK
+
+
+def test_a_measurement_that_is_left_out_is_told_on_a_joint_move_too():
+    robot = robots.load("planar_3r")
+    tracker = ik.Tracker(robot, q0=STARTS["planar_3r"], delay=0)
+    goal = robot.fk(-STARTS["planar_3r"]).translation
+    moving = [tracker.update(goal, H, q=tracker.q) for _ in range(5)][-1]
+    assert "the target jumped" in moving.reason and "measured" not in moving.reason
+    step = tracker.update(goal, H, q=np.full(3, np.nan))
+    assert step.reason.startswith("the measured joints are not finite; the target jumped"), step.reason

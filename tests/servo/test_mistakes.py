@@ -73,6 +73,8 @@ def test_what_is_followed(planar, tree):
         (0, (0, 3), np.nan, "is not finite"),
         (1, 0, np.inf, "is not finite"),
         (2, 0, np.nan, "is not finite"),
+        (0, (0, 3), 1e200, r"is not finite, or beyond 1e\+100,"),  # its square would not be
+        (1, 0, 1e200, r"is not finite, or beyond 1e\+100,"),
         (0, np.s_[:3, 0], 1.0 + 1e-9, ""),  # As far off as rounding, they are poses.
     ],
 )

@@ -205,3 +205,23 @@ def test_a_target_too_fast_for_the_joints_is_followed_straight(method, accelerat
                 tips.append(robot.fk(tracker.update(target, 0.01).q).translation - start)
             found.append(np.linalg.norm(np.cross(tips, way), axis=1).max())
     assert np.median(off["direct"]) < most * np.median(off["leave"])
+
+
+LAZY = """<robot name="lazy"><link name="base"/><link name="arm"/><link name="hand"/><link name="tip"/>
+<joint name="lift" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 -1 0"/>
+<limit lower="-3" upper="3" velocity="0.1" effort="1"/></joint>
+<joint name="turn" type="continuous"><parent link="arm"/><child link="hand"/>
+<origin xyz="0.5 0 0"/><axis xyz="0 -0.000001 1"/></joint>
+<joint name="end" type="fixed"><parent link="hand"/><child link="tip"/><origin xyz="0.5 0 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("on_limit", ["direct", "leave"])
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
+def test_a_joint_without_limits_does_not_spin_for_one_that_is_too_slow(method, on_limit):
+    """The lift is too slow for the target; the other joint can raise the tip by 0.5 um a radian and has no limit at all."""
+    robot = ik.Robot.load(LAZY, tip="tip")
+    tracker = ik.Tracker(robot, method, q0=[0.0, 0.0], on_limit=on_limit, mask=[0, 0, 1, 0, 0, 0])
+    for k in range(20):
+        step = tracker.update([1.0, 0.0, 0.004 * k], 0.01)
+    assert step.status is ik.StepStatus.LIMITED and step.reason == "speed limit on lift"
+    assert step.q[0] > 0.017 and abs(step.q[1]) < 1e-4

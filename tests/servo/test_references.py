@@ -207,6 +207,11 @@ def timed(times):
         (lambda: ik.line(START, END, duration=1.0, law="minimum-jrek"), InvalidOption, "Did you mean 'minimum-jerk'"),
         (lambda: ik.circle(duration=1.0), InvalidOption, "start= or center="),
         (lambda: ik.circle(START, 0.0), InvalidOption, "radius"),
+        (
+            lambda: ik.circle(START, duration=1e200),
+            InvalidOption,
+            r"duration \[s\] must be a positive number below 1e\+100",
+        ),
         (lambda: ik.circle(START, 0.1, normal=(0, 0, 0)), InvalidOption, "normal"),
         (lambda: ik.circle(np.full(3, np.nan)), InvalidTarget, "finite"),
         (lambda: ik.lissajous(START, (0.1, 0.1)), InvalidOption, "amplitudes"),

@@ -33,6 +33,7 @@ def test_time_gives_way_before_the_path(panda, method, acceleration):
     across = run.xyz - run.xyz[0]
     assert np.abs(across[:, [0, 2]]).max() < 1e-3
     assert (np.diff(run.clock) >= 0.0).all() and (run.sigma >= 0.0).all() and (run.sigma <= 1.0).all()
+    assert np.cumsum(run.sigma) * run.dt == pytest.approx(run.clock[1:], abs=1e-12)
     # Where no joint is named the clock is slower for the tolerance, as a run before was off there.
     assert run.pace_joint in run.message and (run.pace[run.sigma < 0.9] >= 0).mean() > 0.7
     speed = np.abs(np.diff(run.q, axis=0)) / run.dt
@@ -47,6 +48,7 @@ def test_a_run_ends_after_the_stretch_it_is_allowed(panda):
     run = ik.track(panda, ref, dt=0.005, q0=Q0, max_stretch=1.5)
     assert run.t[-1] == pytest.approx(0.15) and run.clock[-1] < 0.1
     assert run.status.name == "LOST" and "panda_joint" in run.message
+    assert ik.track(panda, ref, dt=0.005, q0=Q0, max_stretch=1e99).status.name == "SLOWED"
     for wrong, said in ((0.9, "at least 1, not 0.9"), ("long", "a number, not 'long'"), (np.nan, "")):
         with pytest.raises(InvalidOption, match=f"max_stretch must be {said}"):
             ik.track(panda, ref, max_stretch=wrong)

@@ -187,6 +187,14 @@ def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
         assert not st.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
 
 
+@pytest.mark.parametrize("method, delay, gains", [("cv", 0.5, {"kappa": 1.0}), ("ca", 0.1, {"kp": 5.0, "kd": 1.0})])
+def test_a_delay_of_part_of_a_sample_may_allow_longer_steps_than_none(method, delay, gains):
+    longest = ik.check_gains(method, 0.01, delay=delay, **gains).longest_step
+    assert longest > 1.05 * ik.check_gains(method, 0.01, **gains).longest_step
+    assert ik.check_gains(method, 0.999 * longest, delay=delay, **gains).stable
+    assert not ik.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
+
+
 @pytest.mark.parametrize(
     "method, delay", [("cv", 0), ("cv", 2), ("ca", 0), ("ca", 2), ("aad", 0), ("av", 0), ("av", 2)]
 )
@@ -256,6 +264,11 @@ def test_growth_along_a_path_is_the_papers_lap():
             ("cv", 0.01),
             dict(kappa=10.0, robot="planar_2r", path=ik.line((1, 0, 0), (3, 0, 0), duration=1.0)),
             "cannot be followed",
+        ),
+        (
+            ("cv", 0.01),
+            dict(kappa=10.0, robot="planar_2r", path=ik.circle((1, 0, 0), 9e99, duration=1.0)),
+            r"'circle' is not finite, or beyond 1e\+100, at t = 0 s",
         ),
     ],
 )

@@ -158,6 +158,8 @@ def test_questions_to_a_map(dense):
     for words, call in (
         ("x, y", lambda: found.slice("w")),
         ("0.45", lambda: found.slice("z", 3.0)),
+        ("0.45", lambda: found.slice("z", 1e308)),
+        ("all be poses", lambda: found.contains([(0.9, 0.0, 0.2), np.eye(4)])),
         ("share", lambda: found.score(centres, "shares")),
         ("finite", lambda: found.contains([[np.nan, 0.0, 0.0]])),
     ):
@@ -331,6 +333,8 @@ def test_mistakes_are_named():
         ("orthonormal", {"orientations": 2.0 * TURNS}),
         ("'any'", {"orientations": "all"}),
         ("at least 1", {"orientations": 0}),
+        ("at least 1", {"orientations": robot.fk(robot.home)}),
+        ("rotations", {"orientations": [[1.0, 2.0], [3.0]]}),
         ("full", {"audit": -1}),
         ("restarts", {"restarts": 3}),
         ("chooses the solver", {"solver": "dls"}),
@@ -340,6 +344,9 @@ def test_mistakes_are_named():
         ("position is not kept", {"orientations": 2, "priority": ["orientation"]}),
         ("position is not kept", {"orientations": 2, "priority": [("tool", "orientation"), "position"]}),
         ("two corners", {"region": [[0.0, 0.0, 0.0]] * 3}),
+        ("two corners", {"region": ((-1e308, 0.0, 0.0), (1e308, 1.0, 1.0))}),  # its width is not finite
+        ("a resolution of 1e-200 m makes .* cells; make it coarser, or the region smaller", {"resolution": 1e-200}),
+        ("m makes inf cells", {"resolution": 1e-320}),
         ("loose poses", {"region": np.tile(np.eye(4), (3, 1, 1)), "resolution": 0.1}),
         ("npz", {"file": "map.csv"}),
         ("tolerance", {"tolerence": 1e-3}),

@@ -83,6 +83,7 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
         "place (on_base)": robot.on_base is not None,
         "narrower limits": robot._ranges,
         "locked joints": robot.locked_joints,
+        "the other joints or lengths of the given model": not robot.arms[0]._is_described(),
     }
     notes = made.notes()
     if lost := ", ".join(name for name, changed in changes.items() if changed):
@@ -97,8 +98,14 @@ def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Itera
 
     `joints` maps the name of a joint to the transform C (4, 4) [m] by which its <origin> is multiplied from the right. The <axis>
     of the joints in `against` is reversed. `tool` is a transform (4, 4) of the tip, applied in the same way to the fixed joint of
-    the tip's link. If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
+    the tip's link. If there is no such joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF,
+    or one of another model.
     """
+    if robot.urdf is not None and not robot._is_described():
+        raise ModelError(
+            f"the URDF of robot '{robot.name}' does not describe the model it was made from, so it cannot be corrected; "
+            "load the robot from its URDF"
+        )
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
     for name, C in joints.items():
@@ -120,13 +127,12 @@ def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Itera
         add_link(root, tip)
         add_joint(root, f"{tip}_fixed", "fixed", link, tip, T)
     text = to_text(root)
-    other = robot._variant()
-    other.urdf, other.tip, other.tool = text, tip, type(robot.tool).Identity()
-    back = type(robot.tool)(T).inverse() if tip != robot.tip else other.tool
-    other.tool_shapes = tuple((shape, back * place) for shape, place in robot.tool_shapes)
+    none = type(robot.tool).Identity()
+    back = type(robot.tool)(T).inverse() if tip != robot.tip else none
+    shapes = tuple((shape, back * place) for shape, place in robot.tool_shapes)
+    other = robot._variant(urdf=text, tip=tip, tool=none, tool_shapes=shapes)
     other._settle(build_model(text))
-    other._build(robot.home)
-    return other
+    return other._build(robot.home)
 
 
 def _text_of(robot: Any) -> str:

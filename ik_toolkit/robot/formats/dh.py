@@ -162,6 +162,8 @@ def _csv_settings(text: str) -> dict[str, Any]:
     except csv.Error as error:
         raise ModelError(f"the D-H table is not valid CSV: {error}") from None
     header = cells[0] if cells else []
+    if twice := [name for k, name in enumerate(header) if name and name in header[:k]]:
+        raise ModelError(f"the D-H table has the column {', '.join(twice)} more than once")
     joints = []
     for number, row in enumerate(cells[1:], 1):
         if len(row) > len(header):

@@ -16,6 +16,7 @@ import pinocchio as pin
 from ...errors import FrameNotFound, InvalidOption, ModelError, near_match
 from ...text import first_few
 from ..probe import find_path
+from ..tips import frame_id
 from .finding import did_you_mean
 from .srdf_text import EndEffector, Group, contents
 from .urdf import is_text, source_text
@@ -106,8 +107,8 @@ class Srdf:
             mounted = [e for e in self.end_effectors.values() if group in (e.parent_group, e.group)]
             carried = [e.parent_link for e in mounted if model.existFrame(e.parent_link)]
             if len(tips) == 1 and len(carried) == 1:
-                above = _line(model, model.getFrameId(carried[0]))
-                tips = carried if model.getFrameId(tips[0]) in above else tips
+                above = _line(model, frame_id(model, carried[0], model.name))
+                tips = carried if frame_id(model, tips[0], model.name) in above else tips
         if not tips:
             links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
             lost = [link for chain in found.chains for link in chain if not model.existFrame(link)] or [
@@ -302,10 +303,11 @@ def _name(path: Path) -> str:
 def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
     """Return the first links and the last links of a group that lists joints, or the links that they move."""
     frames = model.frames
-    ids = {frame.name: i for i, frame in enumerate(frames)}
     bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY}
-    joints = [ids[joint] for joint in group.joints if joint in ids and ids[joint] in bodies]
-    joints += [frames[ids[link]].parentFrame for link in group.links if link in ids]
+    ids = {frame.name: i for i, frame in enumerate(frames) if i in bodies}
+    links = {frame.name: frame.parentFrame for frame in frames if frame.type == pin.FrameType.BODY}
+    joints = [ids[joint] for joint in group.joints if joint in ids]
+    joints += [links[link] for link in group.links if link in links]
     joints = [j for j in dict.fromkeys(joints) if j in bodies]
     if not any(frames[j].name in model.names for j in joints):
         return [], []

@@ -14,7 +14,7 @@ from numba import config
 
 from ...errors import InvalidOption
 from ...kernel.checks import CODE
-from ...kernel.records import AT, SIZE
+from ...kernel.records import AT
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
 from ..plan import Plan
@@ -112,10 +112,9 @@ def _sampled(first: int, count: int, share: float) -> Iterator[int]:
 
 def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
     """Check again with Pinocchio those rows of a part that belong to the share of the batch to be checked."""
-    n = plan.robot.n
     for k in _sampled(part.first, len(out), share):
         if out[k, AT.status] == CODE.converged:
-            if not confirmed(plan, out[k, SIZE.answer : SIZE.answer + n], part.T[k], part.kinds):
+            if not confirmed(plan, out[k, plan.q_columns], part.T[k], part.kinds):
                 out[k, AT.status] = CODE.check_failed
 
 

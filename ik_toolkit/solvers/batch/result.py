@@ -124,7 +124,7 @@ class BatchResult(ReadOnly):
         """Whether every target leaves orientation free."""
         return all(kind in SPOKEN for kind in self.kinds)
 
-    q = property(lambda self: self.table[:, SIZE.answer : SIZE.answer + self.plan.robot.n])
+    q = property(lambda self: self.table[:, self.plan.q_columns])
     status = property(lambda self: self.table[:, AT.status].astype(np.int64))
     success = property(lambda self: self.table[:, AT.status] == Status.CONVERGED)
     proven = property(lambda self: is_proven(self.table[:, AT.status], self.table[:, AT.excess], self.plan))
@@ -146,7 +146,7 @@ class BatchResult(ReadOnly):
         """Return the errors (N, 2) of each tip."""
         if len(self.kinds) == 1:
             return [self.table[:, [AT.position, AT.rotation]]]
-        first = SIZE.answer + self.plan.robot.n
+        first = self.plan.q_columns.stop
         return [self.table[:, first + SIZE.miss * f : first + SIZE.miss * f + 2] for f in range(len(self.kinds))]
 
     iterations = property(lambda self: self.table[:, AT.iterations].astype(np.int64))

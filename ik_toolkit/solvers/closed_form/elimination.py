@@ -106,35 +106,21 @@ class EliminationAnswer(NamedTuple):
     """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
     q: np.ndarray  # (K, 6) the solutions [rad], every angle in [-pi, pi)
-    # (K,) gain 1 / |J^-1| of each solution, J the Jacobian with lengths divided by the arm's size: a configuration near it whose
-    # pose is off by e is at most about e / gain away from it
-    gain: np.ndarray
     certificate: Certificate
-    # (M, 6) [rad] configurations that do not reach the pose, but near which it may be missed by less than the tolerances; None if
-    # they are not known
-    near: np.ndarray | None
     # (K, 2) for status FAMILY, the joint angle that is free at each solution: its position in the loop of joints, counted from 1
     # (0: no angle is free), and by how much it may turn either way [rad]
     free: np.ndarray
 
 
-def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> EliminationAnswer:
-    """Return all solutions of the pose T (4, 4) by elimination; p: the parameters (52,) from `recognise_six_revolute`.
-
-    within: how far a complex root may be from the unit circle for its configuration to be listed in `near`.
-    """
+def solutions_of(p: np.ndarray, T: np.ndarray) -> EliminationAnswer:
+    """Return all solutions of the pose T (4, 4) by elimination; p: the parameters (52,) from `recognise_six_revolute`."""
     p, T = np.array(p), np.array(T)  # writable copies, because for read-only arrays numba would compile again
     if not is_rigid(T):
-        empty = np.empty((0, N))
-        return EliminationAnswer(
-            empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2))
-        )
-    found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
+        return EliminationAnswer(np.empty((0, N)), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), np.empty((0, 2)))
+    found = answers(forms_of(p.tobytes()), p, T[None])[0]
     certificate = certificate_of(found[0].tolist())
-    count, near = certificate.solutions, int(found[0, 7])
-    rest = None if near < 0 else found[1 + count : 1 + count + near, :N].copy()
-    rows = found[1 : 1 + count]
-    return EliminationAnswer(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
+    rows = found[1 : 1 + certificate.solutions]
+    return EliminationAnswer(rows[:, :N].copy(), certificate, rows[:, N + 1 :])
 
 
 @cached
@@ -280,7 +266,7 @@ class Elimination(NamedTuple):
         p: the parameters from `recognise_six_revolute`; box (4, 6): lower and upper limits, reference [rad], weights. A list that
         is not certified to be complete is marked, so that a search adds what it finds.
         """
-        Q, _, certificate, _, free = solutions_of(p, T)
+        Q, certificate, free = solutions_of(p, T)
         families = []
         if certificate.status == "FAMILY":
             form, single = forms_of(p.tobytes())[0], free[:, 0] == 0.0

@@ -250,15 +250,14 @@ def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> n
 
 
 # ------------------------------------------------------------------------------------------------------------- design
-def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) -> np.ndarray:
+def spread_starts(robot: Any, position_only: bool, count: int) -> np.ndarray:
     """Choose starts (count, n) [rad or m] all over the workspace, far from limits and singularities; a single one is home.
 
-    The workspace is cut into cells by Lloyd's algorithm, each of which gets one start. A seed always gives the same
-    starts.
+    The workspace is cut into cells by Lloyd's algorithm, each of which gets one start.
     """
     if count == 1:
         return robot.home[None].copy()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     chain = robot.chain
     low, width = sampling_box(robot)
     Q = low + width * rng.random((max(DESIGN.samples, 32 * count), robot.n))
@@ -296,9 +295,9 @@ def _rank(values: np.ndarray) -> int:
     return max(1, int((values.max(axis=0) > 1e-9 * values.max()).sum()))
 
 
-def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int = 0) -> np.ndarray:
+def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool) -> np.ndarray:
     """Compute damped inverses (M, n, 3 or 6) [rad or m per m or rad] of the Jacobian averaged around each start (M, n)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     chain, n = robot.chain, robot.n
     low, width = sampling_box(robot)
     rows = 3 if position_only else 6
