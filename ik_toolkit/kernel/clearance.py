@@ -68,7 +68,7 @@ class Separation(NamedTuple):
 
 
 class BrakingPath(NamedTuple):
-    """A motion of the joints, such as braking to rest, cut into N pieces of equal duration (see `servo.viability.brake`)."""
+    """A motion of the joints, such as braking to rest, cut into N pieces of equal duration."""
 
     Q: np.ndarray  # (N + 1, n) joint values at the ends of the pieces
     R: np.ndarray  # (N + 1, n) joint rates at the ends of the pieces

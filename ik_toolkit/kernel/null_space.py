@@ -82,21 +82,34 @@ def make_bounds(places, ends, what, limits):
 
 
 @inline
-def solved_problem(block, rows, ends, row, orders, n, what):
-    """Return all that is needed to move on from the answer of a search: problem, Orders, joint weights (n,), limits and Bounds.
+def stated_problem(block, rows, ends, orders, n):
+    """Return the problem of n joints that the arrays of a Plan state (rows, ends, orders), its Orders, and the joint weights (n,).
 
-    The problem p has the q of the answer in p.desk.q; the limits are `Ends`. The arrays are those of `refine`, as views; block:
-    scratch memory.
+    block: scratch memory. The results are views of these arrays, not copies.
     """
     o = read(Orders, orders)
     first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
     p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
+    return p, o, orders[first : first + n]
+
+
+@inline
+def bounded_problem(block, rows, ends, orders, n, what):
+    """Return what `stated_problem` does, and the joint limits as `Ends` and as Bounds; what: a number of `Objectives`."""
+    p, o, weights = stated_problem(block, rows, ends, orders, n)
     full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
     (places,) = cut(block, np.float64, ((3, n),))
+    return p, o, weights, full, make_bounds(places, full, what, o.limits > 0.0)
+
+
+@inline
+def solved_problem(block, rows, ends, row, orders, n, what):
+    """Return what `bounded_problem` does, with the q of the answer `row` of a search in p.desk.q, to move on from there."""
+    p, o, weights, full, box = bounded_problem(block, rows, ends, orders, n, what)
     for i in range(n):
         p.desk.q[i] = row[SIZE.answer + i] / full.unit(i)
-    return p, o, orders[first : first + n], full, make_bounds(places, full, what, o.limits > 0.0)
+    return p, o, weights, full, box
 
 
 @inline

@@ -16,11 +16,10 @@ import numpy as np
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.algebra import V3
-from ..kernel.dispatch import problem_on
 from ..kernel.kinematics import TAU
-from ..kernel.null_space import Bounds, onto_target
+from ..kernel.null_space import Bounds, onto_target, stated_problem
 from ..kernel.problem import NOW
-from ..kernel.records import SIZE, Array, Orders, copy, read
+from ..kernel.records import Array, copy
 from ..motion.reference import interpolate_poses
 from .path_problem import Problem
 
@@ -152,11 +151,7 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
     """Follow each solution from pose to pose, as `carry_along` does, on arrays given as views; block: scratch memory."""
     seeds, at, columns, Q, span = tracks
     n, N = seeds.shape[1], path.T.shape[0]
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    weights = orders[first : first + n]
+    p, o, weights = stated_problem(block, rows, ends, orders, n)
     old, new = cut(block, np.float64, (n, n))
     q = p.desk.q
     for m in range(seeds.shape[0]):

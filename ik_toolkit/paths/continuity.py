@@ -170,17 +170,17 @@ def bounds(
     robot, o = plan.robot, plan.options
     beyond = np.zeros((2, len(curve) - 1)) if beyond is None else beyond
     sag = np.zeros((len(curve) - 1, robot.n)) if sag is None else sag
-    arms = list(zip(robot.arms, robot.places, strict=True))
+    arms = zip(robot.arms, robot.places, strict=True)
     tips = [_speeds(arm.chain, np.ascontiguousarray(curve[:, place]), sag[:, place]) for arm, place in arms]
-    poses = [arm.chain.forward(curve[:, place])[0] for arm, place in arms]
+    poses = robot.chain.forward(curve)[0].reshape(len(curve), -1, 4, 4)
     others = relatives(robot, o)
     deviation, turn = np.zeros(len(curve) - 1), np.zeros(len(curve) - 1)
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, o), strict=True)):
         if kind == KIND.free:
             continue
         goal = interpolate_poses(T[:, [f]], at, (kind,))[:, 0]
-        other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
-        tip = ErrorBounds(tips[f], poses[f], goal, other, counts.frame)
+        other = None if others[f] < 0 else (tips[others[f]], poses[:, others[f]])
+        tip = ErrorBounds(tips[f], poses[:, f], goal, other, counts.frame)
         position = o.position_tolerance + beyond[0] + tip.position(counts)
         deviation = np.maximum(deviation, position)
         if kind != KIND.position:

@@ -29,6 +29,14 @@ ROUNDING = 1e-9  # share of max_step by which rounding may let a step exceed it
 SHORTENED = 3  # largest number of attempts to shorten a path; each attempt keeps more poses unchanged
 
 
+class Terms(NamedTuple):
+    """What the motion along a path must keep."""
+
+    step: tuple[float, float]  # largest joint step between rows [rad], [m]
+    tolerance: tuple[float, float]  # largest deviation of a tip from the interpolated poses [m], [rad]
+    allowed: float  # largest number of reconfigurations
+
+
 class ProvenMotion(NamedTuple):
     """A path found, the joint motion through its poses, and what is proven about that motion.
 
@@ -63,19 +71,16 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     return made * problem.unit
 
 
-def proven(
-    search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
-) -> ProvenMotion:
+def proven(search: Search, found: Found, q: np.ndarray, terms: Terms) -> ProvenMotion:
     """Insert rows where needed between the configurations q (N, n) [rad or m] of a path, and verify the motion.
 
-    found: the path as the search found it; step (rad, m): largest joint step; tolerance (m, rad): largest deviation of a tip
-    between the poses; model: a CollisionModel or None. Returns the rows, the motion between them, and what is proven.
+    found: the path as the search found it. Returns the rows, the motion between them, and what is proven.
     """
-    p = search.problem
+    p, (step, tolerance, _) = search.problem, terms
     q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
     curve = p.inside(curve)
-    proof = check(p.single, p.kinds, curve, at, p.poses, cut, model)
+    proof = check(p.single, p.kinds, curve, at, p.poses, cut, search.model)
     longest = np.where(p.robot.slides, step[1], step[0]) * (1.0 + ROUNDING)
     deviation, turn = proof.judged
     leaps = (deviation > tolerance[0]) | (turn > tolerance[1])
@@ -104,28 +109,25 @@ def shorten_pieces(
     return made
 
 
-def finished(
-    search: Search, step: tuple[float, float], tolerance: tuple[float, float], model: Any, allowed: float, refine: bool
-) -> ProvenMotion:
+def finished(search: Search, terms: Terms, refine: bool) -> ProvenMotion:
     """Return the best path of a search that passes the verification, or else the best one with breaks where it fails.
 
-    step (rad, m), tolerance (m, rad), model: as in `proven`; allowed: largest number of reconfigurations; refine:
-    whether to shorten the motion of a redundant robot.
+    refine: whether to shorten the motion of a redundant robot.
     """
-    p = search.problem
+    p, allowed = search.problem, terms.allowed
     for _ in range(TRIES):
         found = search.found if len(search.found.breaks) <= allowed else search.best(allowed)
         q = exact(p, found.q)
         if refine and p.redundant:
             held = np.zeros(len(q), dtype=bool)
             for _ in range(SHORTENED):
-                motion = proven(search, found, shorten_pieces(search, found, q, held, step), step, tolerance, model)
+                motion = proven(search, found, shorten_pieces(search, found, q, held, terms.step), terms)
                 failed = motion.failures
                 if not failed:
                     return motion
                 for place in failed:
                     held[max(int(place) - HELD, 0) : int(place) + HELD + 2] = True
-        motion = proven(search, found, q, step, tolerance, model)
+        motion = proven(search, found, q, terms)
         failed = sorted({int(place) for place in motion.failures})
         if found.contacts or not search.without(found, failed):
             break
@@ -135,7 +137,7 @@ def finished(
     if len(breaks) > allowed:
         q[breaks[int(allowed)] + 1 :] = np.nan
         breaks = breaks[: int(allowed)]
-    return proven(search, found._replace(breaks=breaks), q, step, tolerance, model)
+    return proven(search, found._replace(breaks=breaks), q, terms)
 
 
 STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice

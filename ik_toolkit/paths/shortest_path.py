@@ -23,6 +23,9 @@ DEAD, UNTESTED, FREE, TOUCHING = range(4)
 # NONE marks a state without a parent.
 NONE = -1
 CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
+LONG = 1e3  # cost of a step longer than allowed [rad, or length / reach], more than the length of any path
+# cost of a reconfiguration, besides being counted; the joint move that it takes is not part of the path and costs nothing
+LEAP = 1.0
 
 
 @inline
@@ -32,16 +35,17 @@ def shortest_difference(d, endless):
 
 
 @inner
-def step(Q, t, a, u, b, most, endless, price, longer, enough):
+def step(Q, t, a, u, b, most, endless, steep, longer, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
     Q (N, K, n): configurations of the tracks; most (n,): largest step of each joint; endless (n,): 1 for joints that count modulo 2
-    pi; price (3, n): see `link_layers`; longer: cost added once if a joint moves further than `most`.
+    pi; steep (n,): cost per square of a joint's move, besides its length; longer: cost added once if a joint moves further than
+    `most`.
     """
     total, extra = 0.0, 0.0
     for i in range(most.shape[0]):
         d = abs(shortest_difference(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
-        total += price[0, i] * d + price[1, i] * d * d
+        total += d + steep[i] * d * d
         if d > most[i]:
             extra = longer
         if total + extra >= enough:
@@ -94,15 +98,14 @@ def read_layer(values, endless, state, counts, costs, order, near, keys):
 
 @cached_small
 def link_layers(
-    Q, state, prior, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents
+    Q, state, prior, most, endless, steep, begin, toll, blocked, axis, order, first, counts, costs, parents
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results of earlier layers are kept.
 
     Q (N, K, n): configurations of the tracks [rad, or length / reach]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING; prior (N,): the last earlier pose that has states, or -1
     most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
-    price (3, n): row 0: cost per unit of a joint's move; row 1: cost per unit of its square; row 2: cost of a step longer than
-        `most`, then cost of a reconfiguration
+    steep (n,): cost per square of a joint's move, besides its length
     begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
     blocked (B, 3): excluded steps, sorted; each row is the pose that the step leads to, the track before it and the track after it
     axis: index of the joint by whose value the states of a pose are sorted, so that states near a given one are found fast
@@ -125,10 +128,10 @@ def link_layers(
                 continue
             count, cost, parent = int(begin[0, b]), begin[1, b], NONE
             if last >= 0:
-                count, cost, parent = counts[last, best] + 1, costs[last, best] + price[2, 1], -2 - best
+                count, cost, parent = counts[last, best] + 1, costs[last, best] + LEAP, -2 - best
             if 0 <= last == t - 1:
                 if state[last, b] != DEAD and counts[last, b] <= count:
-                    c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, price[2, 0], np.inf)
+                    c = costs[last, b] + step(Q, last, b, t, b, most, endless, steep, LONG, np.inf)
                     if (counts[last, b], c) < (count, cost) and not barred(blocked, t, b, b):
                         count, cost, parent = counts[last, b], c, b
                 at = shortest_difference(float(Q[t, b, axis]), round)
@@ -142,7 +145,7 @@ def link_layers(
                     if a == b or (counts[last, a], costs[last, a]) >= (count, cost):
                         continue
                     enough = np.inf if counts[last, a] < count else cost - costs[last, a]
-                    c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, np.inf, enough)
+                    c = costs[last, a] + step(Q, last, a, t, b, most, endless, steep, np.inf, enough)
                     if c < np.inf and (counts[last, a], c) < (count, cost) and not barred(blocked, t, a, b):
                         count, cost, parent = counts[last, a], c, a
             counts[t, b] = count + (CONTACT if state[t, b] == TOUCHING else 0)
@@ -163,9 +166,6 @@ def layers_before(state: np.ndarray) -> np.ndarray:
     return np.append(-1, np.maximum.accumulate(last)[:-1])
 
 
-LONG = 1e3  # cost of a step longer than allowed [rad, or length / reach], more than the length of any path
-# cost of a reconfiguration, besides being counted; the joint move that it takes is not part of the path and costs nothing
-LEAP = 1.0
 # extra cost of an untested state between two states in contact on its track, so that it is used only if nothing else is left
 SUSPECT = 50.0
 HITS = 4  # number of states found in contact after which the dynamic program is first run again
@@ -187,11 +187,6 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # There are at least two columns, because the last row holds two prices.
-        self.price = np.zeros((3, max(Q.shape[2], 2)))
-        self.price[0] = 1.0
-        self.price[1] = 1.0 / most
-        self.price[2, :2] = LONG, LEAP
         self.begin, self.end = np.zeros((2, K)), np.zeros((2, K))
         self.toll = np.zeros((N, K), np.float32)
         self.blocked: set[tuple[int, int, int]] = set()
@@ -217,7 +212,7 @@ class Program:
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
         self.prior = layers_before(self.state)
         link_layers(
-            self.Q, self.state, self.prior, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
+            self.Q, self.state, self.prior, self.most, self.endless, 1.0 / self.most, self.begin, self.toll, blocked, self.axis,
             self.order, self.changed, self.counts, self.costs, self.parents,
         )  # fmt: skip
         self.changed = len(self.Q)

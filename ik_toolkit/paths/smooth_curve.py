@@ -149,11 +149,10 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
     k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
     ends = interpolate_poses(result.targets, at, result.kinds)[..., :3, 3]
     chords, counted = np.diff(ends, axis=0), [kind != KIND.free for kind in result.kinds]
-    arms = list(zip(plan.robot.arms, plan.robot.places, strict=True))
-    poses = [arm.chain.forward(np.ascontiguousarray(rows[:, place]))[0] for arm, place in arms]
+    poses = plan.robot.chain.forward(rows)[0].reshape(len(rows), -1, 4, 4)
     away = []
-    for pose, other in zip(poses, relatives(plan.robot, plan.options), strict=True):
-        own = pose if other < 0 else np.linalg.inv(poses[other]) @ pose
+    for f, other in enumerate(relatives(plan.robot, plan.options)):
+        own = poses[:, f] if other < 0 else np.linalg.inv(poses[:, other]) @ poses[:, f]
         away.append(own[:, :3, 3])
     gone = (np.stack(away, axis=1) - ends[k])[:, counted]
     chords = chords[:, counted]

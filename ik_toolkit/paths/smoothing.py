@@ -16,9 +16,8 @@ import numpy as np
 
 from ..compile.array_view import LINE, cut, flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner, spliced
-from ..kernel.dispatch import problem_on
-from ..kernel.null_space import OBJECTIVE, make_bounds, onto_target
-from ..kernel.records import SIZE, Ends, Orders, copy, read
+from ..kernel.null_space import OBJECTIVE, bounded_problem, onto_target
+from ..kernel.records import copy
 from ..kernel.vectors import largest
 
 # Weight of squared pose errors against squared joint steps; one Gauss-Newton step reduces an error of 1e-2 rad to 1e-9 rad.
@@ -40,21 +39,6 @@ class PathPrice(NamedTuple):
     second: float
     # length below which a joint's step counts by its square, see `cost_of` [rad, or length / reach]
     rounding: float
-
-
-@inline
-def path_problem(rows, ends, orders, n, block):
-    """Return what moving configurations onto poses needs: problem, Orders, joint limits (Bounds), joint weights and `Ends`.
-
-    rows, ends, orders: arrays of a Plan; n: number of joints; block: scratch memory. The results are views of these, not copies.
-    """
-    o = read(Orders, orders)
-    first = SIZE.orders + SIZE.task * (flat(ends).shape[0] // ends.shape[-1])
-    block[0] = 0.0
-    p = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
-    full = Ends(flat(ends), n)
-    (places,) = cut(block, np.float64, ((3, n),))
-    return p, o, make_bounds(places, full, OBJECTIVE.reference, o.limits > 0.0), orders[first : first + n], full
 
 
 @inner
@@ -237,7 +221,7 @@ def smooth_on_views(rows, ends, path, orders, price, longest, steps, block):
     """Do the work of `smooth_rows`, whose arrays are given as views; path: T, Q, fixed and good; block: scratch memory."""
     T, Q, fixed, good = path
     N, n = Q.shape
-    p, o, box, weights, full = path_problem(rows, ends, orders, n, block)
+    p, o, weights, full, box = bounded_problem(block, rows, ends, orders, n, OBJECTIVE.reference)
     size = N * n
     now, trial, H, A = cut(block, np.float64, ((N, n), (N, n), (size, 2 * n + 1), (size, 2 * n + 1)))
     step, g, x = cut(block, np.float64, (n, size, size))
@@ -297,7 +281,7 @@ def settle_rows(rows, ends, T, Q, orders, good):
 @inline
 def settle_on_views(rows, ends, T, Q, orders, good, block):
     """Do the work of `settle_rows`, whose arrays are given as views; block: scratch memory."""
-    p, o, box, weights, full = path_problem(rows, ends, orders, Q.shape[1], block)
+    p, o, weights, full, box = bounded_problem(block, rows, ends, orders, Q.shape[1], OBJECTIVE.reference)
     for k in range(Q.shape[0]):
         for i in range(Q.shape[1]):
             p.desk.q[i] = Q[k, i] / full.unit(i)

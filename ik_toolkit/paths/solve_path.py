@@ -27,7 +27,7 @@ from ..solvers.plan import Plan
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import kernel_tasks
 from ..text import angle, length
-from .finish import collapsed, finished, fraction, gaps, inserted
+from .finish import Terms, collapsed, finished, fraction, gaps, inserted
 from .freedom import errors_at_rows, freedom
 from .path_problem import (
     STEP,
@@ -109,7 +109,7 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     robot, seed = solver.robot, solver.options.seed  # This robot may have narrower limits; a seed of 1.0 is now 1.
     T, kinds = _read(robot, poses)
-    step, tolerance = read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options)
+    terms = Terms(read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options), allowed)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     q0, q_end, notice = _ends(solver.plan_for(kinds), q0=q0, q_end=q_end)
     wanted, places, met, follower = None, None, None, None
@@ -126,10 +126,10 @@ def solve_path(
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh(between: bool = True, longer: int = 1) -> Search:
-        poses, at, most = turns.poses(), places, (longer * step[0], longer * step[1])
+        poses, at, most = turns.poses(), places, (longer * terms.step[0], longer * terms.step[1])
         if at is None and between and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, tolerance, q0, at, follower)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, terms.tolerance, q0, at, follower)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -147,14 +147,14 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # With rotations reversed, fewer reconfigurations might do.
         search.progress(0.9, "shortening and verifying the path")
-        made = _result(search, allowed, step, tolerance, model, seed, began)
+        made = _result(search, terms, began)
         settled = made.status in (PathStatus.FOLLOWED, PathStatus.COLLISION) or made.unreachable
         if wanted is None and (search.found.breaks or not settled) and len(search.problem.T) > len(T):
             # Near a singular pose a motion that misses poses inserted by the search may still keep the path tolerance.
             other = fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max()))
             other.run()
             _share_bound(search, other)
-            both = (_result(one, allowed, step, tolerance, model, seed, began) for one in (search, other))
+            both = (_result(one, terms, began) for one in (search, other))
             made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
         made = replace(made, tolerance_given=path_tolerance is not None)
         return _against(_fewer(met, made), wanted, notice)
@@ -164,7 +164,7 @@ def solve_path(
                 raise
             search.progress = _silent
             search.link()
-        made = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
+        made = _result(search, terms, began, refine=False)
         raise PathInterrupted(_against(made, wanted)) from None
 
 
@@ -260,23 +260,13 @@ def _exact(T: np.ndarray) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------------------- results
-def _result(
-    search: Search,
-    allowed: float,
-    step: tuple[float, float],
-    tolerance: tuple[float, float],
-    model: Any,
-    seed: int,
-    began: float,
-    refine: bool = True,
-) -> PathResult:
+def _result(search: Search, terms: Terms, began: float, refine: bool = True) -> PathResult:
     """Return the PathResult for the best path of a search, verified and, if `refine`, shortened.
 
-    allowed: largest number of reconfigurations; step (rad, m); tolerance (m, rad); model: a CollisionModel or None;
     began: start of the search by `perf_counter` [s].
     """
     problem = search.problem
-    motion = collapsed(finished(search, step, tolerance, model, allowed, refine), problem.at)
+    motion = collapsed(finished(search, terms, refine), problem.at)
     found, kept, q = search.found, motion.found, motion.q
     asked = problem.at == np.round(problem.at)
     poses, T = problem.poses[asked], problem.T[asked]
@@ -288,7 +278,7 @@ def _result(
     missing = tuple(search.unreachable())
     moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
     needed = max(len(gaps(problem.at, found.breaks)), len(moves) + (not missing and bool(np.isnan(q).any())))
-    if needed > allowed or missing:
+    if needed > terms.allowed or missing:
         status = PathStatus.INCOMPLETE
     elif found.contacts or motion.continuity.contacts:
         status = PathStatus.COLLISION
@@ -299,15 +289,15 @@ def _result(
         message="", position_error=errors[:, 0],
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
-        unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
-        elapsed=perf_counter() - began - compile_time(began),
+        unreachable=missing, max_step=terms.step, path_tolerance=terms.tolerance, collision=search.model,
+        seed=problem.solver.options.seed, elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
     # The cause comes from solving the first pose that is not reached. With a priority the pose itself need not be reached, so that
     # solve could fail for another cause.
     plain = problem.follower is problem.single
     cause = _cause(problem, T[missing[0].index]) if missing and plain else ""
-    result = replace(result, message=path_sentence(result, needed, allowed, cause))
+    result = replace(result, message=path_sentence(result, needed, terms.allowed, cause))
     o = problem.single.options
     broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
     if broken is None:

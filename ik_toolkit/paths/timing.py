@@ -210,11 +210,8 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
     """Return how fast (G,) [m per unit of s] the fastest tip moves along a piece, at the path coordinates s (G,)."""
     h = NUDGE * (piece.knots[-1] - piece.knots[0])
     low, high = np.maximum(s - h, piece.knots[0]), np.minimum(s + h, piece.knots[-1])
-    rates = []
-    for arm, place in zip(robot.arms, robot.places, strict=True):
-        before, after = (arm.chain.forward(np.ascontiguousarray(piece.curve(x)[0][:, place]))[0] for x in (low, high))
-        rates.append(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / (high - low))
-    return np.max(rates, axis=0)
+    before, after = (robot.chain.forward(piece.curve(x)[0])[0].reshape(len(s), -1, 4, 4) for x in (low, high))
+    return np.linalg.norm((after - before)[:, :, :3, 3], axis=2).max(axis=1) / (high - low)
 
 
 def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[tuple[float, float], ...], str]:

@@ -307,22 +307,10 @@ class Guard:
         rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate
         length[-1] = np.abs(move)
         if len(Q) > 1:
-            length[1] = self._gone(Q, R[0], h)
+            along(Q, R, length[:2], self.gamma, h, 1.0, np.empty(len(q)), length[1])
             length[2] += length[1]
         length[-1] += aside
         return Path(all_q, rates, length, h, float(even), alone, aside)
-
-    def _gone(self, Q: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
-        """Return the distances (n,) that joints cover in a step from Q[0] to Q[1], in which they may reverse.
-
-        rate (n,): joint rates at the start of the step; h [s]: length of the step.
-        """
-        move = Q[1] - Q[0]
-        start = move if self.gamma == 1.0 else h * rate
-        end = 2.0 * move - start
-        turns = start * end < 0.0
-        far = 0.5 * start * start / np.where(turns, start - end, 1.0)
-        return np.where(turns, np.abs(far) + np.abs(move - far), np.abs(move))
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
         """Return None if the pairs of bodies ks are proven free along a path, else the names of one that is not.

@@ -1,6 +1,6 @@
 """The joint rates that a method commands before limits are applied, for published laws and for solvers' iterations."""
 
-# Pyright does not know that numba calls the overloads below and takes their options from a dict.
+# Pyright does not know that numba calls the overload below and takes its options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -33,7 +33,6 @@ from .laws import (
 from .null_space_motion import away_from_limits, bend, into_null_space, scale_secondary, weigh
 from .singular_directions import judge_modes, remember, straight_along_axis
 from .singular_step import WEAK, along_lost, down_slopes, hold_back, modes, take_out
-from .workspace import START, STATE
 
 # Largest share s of the null-space velocity that method ca (classical, acceleration level) removes in one step, for stability.
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
@@ -49,10 +48,11 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """Two numbers that may change with every step: how many inequality constraints apply, and the step's length h [s]."""
+    """What may change with every step: how many inequality constraints apply, and how long it lasts."""
 
-    rows: int
-    h: float
+    rows: int  # number of inequality constraints
+    h: float  # [s] length of the step
+    ratio: float  # h over the length of the last step, 0 if there is no earlier command to continue from
 
 
 class Published(NamedTuple):
@@ -97,6 +97,12 @@ def desired_null_velocity(law, s, limits, wish, base):
     down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
     scale_secondary(s.g, base, s.floor, s.roof)
     return True
+
+
+@inline
+def unshifted(law, s, limits, wish, rate, h):
+    """Return False: s.at is not shifted for a published law, which adds its secondary motion later (`add_secondary_motion`)."""
+    return False
 
 
 @inline
@@ -236,15 +242,14 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
         for k in range(m):
             s.weight[k], s.heavy[k] = 1.0 if s.weight[k] > 0.0 else 0.0, given.counts[3][k]
-    ratio = h / state[STATE.period] if state[STATE.start] == START.running else 0.0
-    command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
+    command(law, inverse_of(s), target_of(s), rate, own.memory, h, now.ratio, joints)
     if damped > 0.0 and law.mode != MODE.clip:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         # Method cv extrapolates from the command in own.memory, so that one, too, gets the rates along the directions removed.
         if law.code == LAW.cv:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
-    add_secondary_motion(law, s, given, ratio, h, own.memory)
+    add_secondary_motion(law, s, given, now.ratio, h, own.memory)
     return damped
 
 
@@ -269,34 +274,16 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     return 0.0
 
 
-def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Write to s.x (n,) the joint rates that a control law (`by_law`) or the iteration of a solver (`by_rule`) commands.
+def chosen(rule, for_law, for_solver):
+    """Return the first of two compiled functions for a control law (rule: `Published`), the second for the iteration of a solver.
 
     This version runs without numba, which compiles the overload below instead.
     """
-    how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, given, own, now)
+    return for_law if isinstance(rule, Published) else for_solver
 
 
-@overload(wanted, jit_options=INLINE)
-def _wanted(law, rule, task, look, weights, s, given, own, now):
-    how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, given, own, now: how(
-        law, rule, task, look, weights, s, given, own, now
-    )
-
-
-def shift_joints(law, rule, s, limits, wish, rate, h):
-    """Shift the joint values by `shift_by_secondary` for a solver; return whether that was done. A control law needs no shift.
-
-    This version runs without numba, which compiles the overload below instead.
-    """
-    how = (lambda *_: False) if isinstance(rule, Published) else shift_by_secondary
-    return how(law, s, limits, wish, rate, h)
-
-
-@overload(shift_joints, jit_options=INLINE)
-def _lean(law, rule, s, limits, wish, rate, h):
-    if rule.instance_class is Published:  # A published law adds its secondary motion later, in `add_secondary_motion`.
-        return lambda law, rule, s, limits, wish, rate, h: False
-    return lambda law, rule, s, limits, wish, rate, h: shift_by_secondary(law, s, limits, wish, rate, h)
+@overload(chosen, jit_options=INLINE)
+def _chosen(rule, for_law, for_solver):
+    if rule.instance_class is Published:
+        return lambda rule, for_law, for_solver: for_law
+    return lambda rule, for_law, for_solver: for_solver

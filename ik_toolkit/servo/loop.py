@@ -8,22 +8,19 @@ least-squares steps to the least error nearby (damped_descent.py). In mode clip 
 directions near singular poses, each joint clipped on its own.
 """
 
-# Pyright does not know that numba calls the overloads below and takes their options from a dict.
-# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from ..compile.array_view import flat, keep, space, view
-from ..compile.jit import INLINE, cached_small, inline, inner
+from ..compile.jit import cached_small, inline, inner
 from ..kernel.dispatch import problem_on
 from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.search import step_class
 from ..kernel.vectors import apply_transposed, clear
-from .command import Moment, Published, shift_joints, wanted
+from .command import Moment, Published, by_law, by_rule, chosen, shift_by_secondary, unshifted
 from .constrained_step import MODE, OUTCOME, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
 from .laws import Law, apply, factor, rewrite_command, settle
@@ -257,21 +254,6 @@ def by_clipping(law, s, count, mu, h, own, work, code):
     return False
 
 
-def apply_limits(rule, law, s, count, mu, h, own, work, code):
-    """Replace the commanded joint rates s.x (n,) by allowed ones, by `by_constraints` (control laws) or `by_clipping` (solvers).
-
-    This version runs without numba, which compiles the overload below instead.
-    """
-    how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, mu, h, own, work, code)
-
-
-@overload(apply_limits, jit_options=INLINE)
-def _obey(rule, law, s, count, mu, h, own, work, code):
-    how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, mu, h, own, work, code: how(law, s, count, mu, h, own, work, code)
-
-
 # ----------------------------------------------------------------------------------------------------------- the loop
 @inner
 def error_squared(weight, e):
@@ -305,6 +287,8 @@ def run(step, arm, given, own, samples, out, h, block):
     first = SIZE.orders + SIZE.task * (m // 6)
     task = problem_on(block, rows, ends, orders[SIZE.orders : first], n, o)
     weights, rule = orders[first : first + n], read(step, orders, first + n)
+    shift, command = chosen(rule, unshifted, shift_by_secondary), chosen(rule, by_law, by_rule)
+    apply_limits = chosen(rule, by_constraints, by_clipping)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     plain = task.plain()
     size_joints(s, limits[LIMIT.speed])
@@ -330,7 +314,7 @@ def run(step, arm, given, own, samples, out, h, block):
             if i == E.shape[0] - 1:
                 return i
             boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
-            if shift_joints(law, rule, s, limits, wish, rate, h):
+            if shift(law, s, limits, wish, rate, h):
                 task.stand(s.at)
         if law.mode != MODE.clip:
             leave_out(s.J, s.floor, s.roof)
@@ -344,7 +328,7 @@ def run(step, arm, given, own, samples, out, h, block):
         S[i] = min(max(state[STATE.near], 0.0), 1.0)
         limit_oscillation(law, s, rate, swings, h, state)
         if mu == 0.0:
-            S[i] = wanted(law, rule, task, look, weights, s, given, own, Moment(count, h))
+            S[i] = command(law, rule, task, look, weights, s, given, own, Moment(count, h, ratio))
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:
@@ -352,7 +336,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if still or law.mode == MODE.clip:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            held = apply_limits(rule, law, s, count, mu, h, own, work, C[i])
+            held = apply_limits(law, s, count, mu, h, own, work, C[i])
             record_oscillation(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 rewrite_command(law, h, ratio, s.w, s.x, memory)

@@ -257,10 +257,7 @@ class Secondary(Holds):
 
     def _volume(self, q: np.ndarray) -> float:
         """Return the logarithm of the manipulability (the product of the singular values of J) at q (n,) [rad or m]."""
-        arms = zip(self.robot.arms, self.robot.places, strict=True)
-        J = np.zeros((6 * len(self.robot.arms), len(q)))
-        for f, (arm, place) in enumerate(arms):
-            J[6 * f : 6 * f + 6, place] = arm.chain.forward(q[place], jacobian=True)[1][0]
+        J = self.robot.chain.forward(q, jacobian=True)[1][0]
         return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), STEP)).sum())
 
 

@@ -284,13 +284,10 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
 
 def _jacobians(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
     """Return the Jacobians (N, m, n) of the tips' positions and, where `posed`, orientations; lengths in arm reaches."""
-    rows = []
-    for arm, place, angular in zip(robot.arms, robot.places, posed, strict=True):
-        J = np.zeros((len(path), 6, path.shape[1]))
-        J[:, :, place] = arm.chain.forward(np.ascontiguousarray(path[:, place]), jacobian=True)[1]
-        J[:, :3] /= robot.chain.scale
-        rows.append(J[:, : 6 if angular else 3])
-    return np.concatenate(rows, axis=1) * robot.chain.unit
+    J = robot.chain.forward(path, jacobian=True)[1].reshape(len(path), len(posed), 2, 3, -1)
+    J[:, :, 0] /= robot.chain.scale
+    counted = [(True, angular) for angular in posed]
+    return J[:, np.array(counted)].reshape(len(path), -1, J.shape[-1]) * robot.chain.unit
 
 
 # --------------------------------------------------------------------------------------------------------- samples

@@ -33,6 +33,7 @@ from ..solvers.registry import find_row, search_for
 from ..solvers.task import group_levels
 from .adapters import LEVER
 from .motion_limits import speeds
+from .step import Lead
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 
@@ -65,9 +66,8 @@ class Postures:
         """Prepare the solver; options: which errors count; speed (n,): speed limits [rad/s or arm reaches/s]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to", "priority")}
-        exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
         row = find_row(search_for(options.priority))
-        one_attempt = Options(restarts=0, **exact, **o)
+        one_attempt = Options(restarts=0, position_tolerance=TOLERANCE, orientation_tolerance=TOLERANCE, **o)
         self.plan = Plan(robot, row, row.load()(), one_attempt)
         weights = tuple((speed / max(speed.max(), 1e-300)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
@@ -328,10 +328,9 @@ class Reconfiguration:
             self._barred = []
             return
         _, goal, place = self._best
-        q = taken.q
-        self._time = time_left(q, goal, taken.limits)
+        self._time = time_left(taken.q, goal, taken.limits)
         if stood < self._time and taken.stand[STAND.rest] < ARRIVAL.wait:
-            on_way = [self.postures.size(taken.error_at(q + part * (goal - q))) for part in MOVE.on_way]
+            on_way = [self.postures.size(taken.error_at(taken.q + part * (goal - taken.q))) for part in MOVE.on_way]
             self._price = sum(on_way) / len(on_way) * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
@@ -378,9 +377,10 @@ class Reconfiguration:
         return left >= 0.0
 
     @property
-    def why(self) -> tuple[str, ...]:
-        """Names of the joints whose limits caused the move."""
-        return tuple(self.robot.joint_names[i] for i in self.held)
+    def why(self) -> Lead:
+        """The move in words, with the joints whose limits caused it."""
+        names = ", ".join(self.robot.joint_names[i] for i in self.held)
+        return Lead(True, f"{Lead(True).words}: the limit of {names} ended the last one") if names else Lead(True)
 
     def blocked(self) -> None:
         """Give up the move because of a collision ahead; another posture may be free later."""

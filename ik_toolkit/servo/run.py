@@ -195,7 +195,8 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     robot, references, clock = run.tracker.robot, run.references, best.clock.s
     Q, R = best.Q * robot.chain.unit, best.R * robot.chain.unit
     t, done = np.arange(len(Q)) * run.dt, len(Q) - 1
-    targets, tips = np.stack([one.at(clock)[0] for one in references], axis=1), _forward(robot, Q)
+    targets = np.stack([one.at(clock)[0] for one in references], axis=1)
+    tips = robot.chain.forward(Q)[0].reshape(targets.shape)
     errors = best.E.reshape(done + 1, -1, 6)
     posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
     tip = slice(None) if robot.by_tip else 0
@@ -211,7 +212,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         t=t,
         q=Q,
         rate=R,
-        xyz=tips[:, tip],
+        xyz=tips[:, tip, :3, 3],
         target_xyz=targets[:, tip, :3, 3],
         position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
         orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
@@ -238,12 +239,6 @@ def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return distances (M,) [m] and angles (M,) [rad] between two sets of poses (M, 4, 4)."""
     away = np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1)
     return away, angles_between(T[:, :3, :3], wanted[:, :3, :3])
-
-
-def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
-    """Return the positions of all tips (N, F, 3) [m] at joint values Q (N, n)."""
-    arms = zip(robot.arms, robot.places, strict=True)
-    return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
 
 
 def _start(robot: Any, references: list[Reference], wishes: Mapping[str, Any]) -> np.ndarray:

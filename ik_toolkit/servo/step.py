@@ -11,7 +11,6 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..motion.reference import log
 from ..text import angle, length
-from .target_jump import Choice
 from .viability import BIT
 from .workspace import samples_of
 
@@ -74,6 +73,13 @@ class StatusContext(NamedTuple):
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 
 
+class Lead(NamedTuple):
+    """A joint move that replaces the tracking method: whether it leads to another posture, and in words why it is made."""
+
+    elsewhere: bool
+    words: str = "moving to another posture that reaches the target"
+
+
 class Outcome(NamedTuple):
     """What the status of one step is computed from; the arrays are not shared with the tracker."""
 
@@ -92,9 +98,7 @@ class Outcome(NamedTuple):
     lag: float
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
-    # on a move to another posture: names of the joints whose limits caused it; on the way to a target that jumped: the way chosen;
-    # else None
-    way: tuple[str, ...] | Choice | None
+    way: Lead | None  # what led the joints in place of the tracking method
 
 
 make_outcome = partial(tuple.__new__, Outcome)  # makes an Outcome faster than Outcome(...) does
@@ -143,8 +147,7 @@ class Step:
         if held & BIT.recovering:
             return StepStatus.RECOVERING
         if o.way is not None:
-            jumped = isinstance(o.way, Choice) and o.way.ratio < math.inf
-            return StepStatus.LIMITED if jumped else StepStatus.RECONFIGURING
+            return StepStatus.RECONFIGURING if o.way.elsewhere else StepStatus.LIMITED
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
         # A limit may also stop the arm from closing an error of a lower priority level.
@@ -243,7 +246,7 @@ class Step:
             how = "coming nearer, but slowly" if slowly else "the tip can hardly get nearer to its target from here"
             parts.append(f"{self._left()} away: {how}")
         if o.way is not None:
-            parts.append(_on_the_way(o.way))
+            parts.append(o.way.words)
         words = (
             (BIT.recovering, "outside its limits, moving back:"),
             (BIT.position, "position limit on"),
@@ -267,18 +270,3 @@ class Step:
         """Return a line with status, position error and reason."""
         reason = self.reason
         return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"
-
-
-def _on_the_way(way: tuple[str, ...] | Choice) -> str:
-    """Return words on where the joints go, and why.
-
-    way: for a move to another posture, the joints whose limits caused it; else the way chosen to a target that jumped.
-    """
-    if not isinstance(way, Choice) or way.ratio == math.inf:
-        where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
-        return f"moving to another posture that reaches the target{where}"
-    if way.straight:
-        return "the target jumped: going straight there as fast as the limits allow"
-    return (
-        f"the target jumped: moving there in joint space, as a straight line would take {way.ratio:.2g} times as long"
-    )

@@ -19,6 +19,7 @@ from ..validate import positive, switch
 from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
+from .step import Lead
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, LIMIT, MARGIN, UNKNOWN, bending, time_left, travel
 
@@ -71,18 +72,10 @@ class Route(NamedTuple):
         return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
 
 
-class Choice(NamedTuple):
-    """The way chosen to a target that jumped: a straight line of the tip, or a joint move."""
-
-    straight: bool  # whether the straight line of the tip was chosen, and not the joint move
-    ratio: float  # duration of the straight line over that of the direct joint move; inf if there is no line
-
-
 class Leap:
     """Moves the joints of a tracker to a target that jumped, in place of the tracking method.
 
-    goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes (straight line or
-    joint move), and the ratio of both durations (Choice).
+    goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes, as a `Lead`.
     """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
@@ -99,7 +92,7 @@ class Leap:
     def forget(self) -> None:
         """Give up the move (goal None) and forget the last target."""
         self.goal: np.ndarray | None = None
-        self.why = Choice(straight=True, ratio=1.0)
+        self.why = Lead(False, "")
         self._enough = LEAP.close  # [s] time left at full joint speed at which the tracking method takes over
         self._route: Route | None = None
         self._time = 0.0  # [s] time since the move began
@@ -147,7 +140,13 @@ class Leap:
             return
         self.goal, self._time = goal, 0.0
         self._route = straight if ratio <= self._most and ratio < math.inf else None
-        self.why = Choice(self._route is not None, ratio)
+        if ratio == math.inf:
+            self.why = Lead(True)
+        elif self._route:
+            self.why = Lead(False, "the target jumped: going straight there as fast as the limits allow")
+        else:
+            how = f"moving there in joint space, as a straight line would take {ratio:.2g} times as long"
+            self.why = Lead(False, f"the target jumped: {how}")
 
     def _patience(self, law: np.ndarray) -> float:
         """Return the time [s] before the end of the move at which the tracking method takes over.

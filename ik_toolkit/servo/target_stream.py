@@ -331,37 +331,25 @@ class Stream(CopiesViews):
 
         Raises InvalidTarget.
         """
-        T, kinds = self._read(target)
-        if T is None:
-            return None, GIVEN.refused
-        self._given.T[0] = T
-        return kinds, GIVEN.fine
-
-    def _read(self, target: Any) -> tuple[np.ndarray | None, tuple | None]:
-        """Return the poses (F, 4, 4) and kinds of a target, or None for both if a number is not finite.
-
-        Raises InvalidTarget.
-        """
         if self.robot.by_tip or is_by_name(target):
             values = target.values() if isinstance(target, Mapping) else target
             several = isinstance(target, Mapping | list | tuple | np.ndarray)
             if several and not all(_finite(one) for one in values if one is not None):
-                return None, None
+                return None, GIVEN.refused
             T, kinds, _ = read_target(self.robot, target)
-            return T.reshape(self.tips, 4, 4), kinds
-        if isinstance(target, AxisTarget):
-            return target.T_base_tip[None], ((read_one(target)[1]),)
-        raw = floats(
-            as_array(target, self.robot.base),
-            "a tracker takes a 4x4 pose or a position, of NaN where there is none",
-            InvalidTarget,
-        )
-        if raw.shape not in ((3,), (4, 4)):
-            raise InvalidTarget(f"a tracker takes a 4x4 pose or a position of 3 numbers, not shape {raw.shape}")
-        if not np.isfinite(raw).all():
-            return None, None
-        T, kind, _ = read_one(raw)
-        return T[None], (kind,)
+        elif isinstance(target, AxisTarget):
+            T, kinds = target.T_base_tip, (read_one(target)[1],)
+        else:
+            wanted = "a tracker takes a 4x4 pose or a position"
+            raw = floats(as_array(target, self.robot.base), f"{wanted}, of NaN where there is none", InvalidTarget)
+            if raw.shape not in ((3,), (4, 4)):
+                raise InvalidTarget(f"{wanted} of 3 numbers, not shape {raw.shape}")
+            if not np.isfinite(raw).all():
+                return None, GIVEN.refused
+            T, kind, _ = read_one(raw)
+            kinds = (kind,)
+        self._given.T[0] = T.reshape(self.tips, 4, 4)
+        return kinds, GIVEN.fine
 
     def _motion(self, value: Any, name: str) -> np.ndarray:
         """Return a twist or acceleration as (m,), with zeros for angular parts that are left out.

@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shared
-from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.limits import LIMIT
 from ..kernel.records import Array
 
@@ -369,32 +368,3 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
         missing = point - q[j] - h * ((1.0 - gamma) * rate[j] + gamma * speed)
         most = approach(abs(missing), 0.0, 1.0, h, MARGIN.held_back * limits[LIMIT.acceleration, j], h)
         x[j] = speed + math.copysign(min(share * abs(missing) / (gamma * h), most), missing)
-
-
-@cached_small
-def brake(first, gamma, h, late, limits, Q, R, L):
-    """Write the joint motion while braking to rest, from row `first` on; return the row in which all joints rest (at least 1).
-
-    Q, R (K, n): joint values and rates at steps of h [s], in the units of the limits, given up to row `first`; the rows after it
-    are written. L (K, n) receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too
-    few. Each joint brakes as in `advance` with x = 0, inside limits (4, n), which also hold if later steps last up to late [s].
-    """
-    n = Q.shape[1]
-    x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()
-    for j in range(n):
-        L[0, j] = 0.0
-    for k in range(Q.shape[0]):
-        moving = False
-        for j in range(n):
-            if k > first:
-                Q[k, j], R[k, j] = now[j], speed[j]
-            if k > 0:
-                start, change = speed_and_growth(Q, R, k - 1, j, gamma, h)
-                L[k, j] = L[k - 1, j] + travelled(start, change, 1.0)
-            moving = moving or R[k, j] != 0.0
-        if k >= first:
-            if k > 0 and not moving:
-                return k
-            x[:] = 0.0
-            advance(now, speed, x, gamma, h, late, limits, code)
-    return -1

@@ -4,12 +4,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from braking import brake
 from robots import BALLS_MIMIC, ball, branches, filled, have_data, joint, load, tie
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.clearance import BrakingPath, Separation, along, free_until
 from ik_toolkit.robot.geometry.distance import APART, CORNERS, NEARBY, Clearance
-from ik_toolkit.servo.viability import brake
 
 ROBOTS = ["hydrolek_7w", "mimic", "two_arms", *(["panda", "ur5"] if have_data() else [])]
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from braking import brake
 from scipy.interpolate import CubicHermiteSpline
 
 from ik_toolkit.kernel import clearance
@@ -113,7 +114,7 @@ def test_the_full_brake_and_the_way_along_it(gamma):
         for k in range(first):
             Q[k + 1], R[k + 1] = Q[k], R[k]
             viability.move(Q[k + 1], R[k + 1], R[k] * 0.9, gamma, h)
-        end = viability.brake(first, gamma, h, late, limits, Q, R, L)
+        end = brake(first, gamma, h, late, limits, Q, R, L)
         assert end > first and not R[end].any() and R[end - 1].any()
         now, speed, code = Q[first].copy(), R[first].copy(), np.empty(4, np.uint8)
         for k in range(first, end):
@@ -137,9 +138,9 @@ def test_the_full_brake_and_the_way_along_it(gamma):
                 middle = Q[k] + 0.5 * h * R[k] + 0.25 * (Q[k + 1] - Q[k] - h * R[k])
             np.testing.assert_allclose(got, middle, atol=1e-14)
     Q, R, L = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
-    assert viability.brake(0, gamma, h, late, limits, Q, R, L) == 1  # at rest already
+    assert brake(0, gamma, h, late, limits, Q, R, L) == 1  # at rest already
     R[0] = 5.0
-    assert viability.brake(0, gamma, h, late, limits, Q, R, L) == -1
+    assert brake(0, gamma, h, late, limits, Q, R, L) == -1
     assert math.isfinite(Q.sum())
 
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from braking import brake
 
 from ik_toolkit.kernel import clearance
-from ik_toolkit.servo import viability
 
 
 def scene(rng, E=4, S=3, n=5):
@@ -123,7 +123,7 @@ def test_nothing_comes_closer_than_it_may_where_it_is_called_free(gamma):
         limits = np.array([np.full(n, -9.0), np.full(n, 9.0), np.full(n, 2.0), np.full(n, 3.0)])
         Q, R, L = np.zeros((80, n)), np.zeros((80, n)), np.zeros((80, n))
         R[0] = rng.uniform(-1.0, 1.0, n)
-        last = viability.brake(0, gamma, h, late, limits, Q, R, L)
+        last = brake(0, gamma, h, late, limits, Q, R, L)
         Q, R, L = Q[: last + 1], R[: last + 1], L[: last + 1]
         a, b, ks = np.array([0]), np.array([1]), np.array([0])
         by_a, by_b = np.array([[True, True, False]]), np.array([[False, False, True]])

@@ -65,12 +65,14 @@ def test_wishes_are_found_and_added():
     assert not command.desired_null_velocity(law(mode=MODE.clip), s, limits, wish, base)
     assert not command.desired_null_velocity(law(), s, limits, 0.0 * wish, base)
     old = s.at.copy()
-    assert command.shift_joints(law(), None, s, limits, wish, base, 0.1)
+    assert command.shift_by_secondary(law(), s, limits, wish, base, 0.1)
     np.testing.assert_allclose(s.at, old + 0.1 * s.g)
-    assert s.g.any() and not command.shift_joints(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
+    assert s.g.any() and not command.shift_by_secondary(law(), s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
     s.g[:] = 1.0
-    assert not command.shift_joints(law(mode=MODE.clip), None, s, limits, wish, base, 0.1) and not s.g.any()
-    assert not command.shift_joints(law(), command.Published(0.0), s, limits, wish, base, 0.1)
+    assert not command.shift_by_secondary(law(mode=MODE.clip), s, limits, wish, base, 0.1) and not s.g.any()
+    both = command.unshifted, command.shift_by_secondary
+    assert [command.chosen(rule, *both) for rule in (command.Published(0.0), None)] == [*both]
+    assert not command.unshifted(law(), s, limits, wish, base, 0.1)
 
 
 class Bent:

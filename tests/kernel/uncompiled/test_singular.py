@@ -153,7 +153,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             motion=np.array([np.zeros(n), rate]), memory=memory, away=away, basis=np.zeros((m, m)), state=state
         )
         lost = command.by_law(
-            law(code, damping=0.05, kappa=4.0), None, task, None, None, s, settings, own, command.Moment(0, h)
+            law(code, damping=0.05, kappa=4.0), None, task, None, None, s, settings, own, command.Moment(0, h, 0.0)
         )
         want = U.T @ (f + 4.0 * e if code == LAW.cv else ahead / h)
         done = U.T @ (J.T @ s.x)

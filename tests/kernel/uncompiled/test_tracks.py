@@ -70,7 +70,7 @@ def test_solutions_are_carried_along_poses():
         assert carried(0.5, deviation)[1].tolist() == [[0, 0], [3, 3]]
 
 
-def best_path(Q, state, most, endless, price, begin, toll, blocked, near=True):
+def best_path(Q, state, most, endless, steep, begin, toll, blocked, near=True):
     """Counts and costs of the cheapest way to each state by trying all pairs of each layer (Bellman)."""
     N, K, n = Q.shape
     counts, costs = np.zeros((N, K)), np.zeros((N, K))
@@ -83,7 +83,7 @@ def best_path(Q, state, most, endless, price, begin, toll, blocked, near=True):
             else:
                 came = [a for a in np.flatnonzero(alive[last])]
                 first = min((counts[last, a], costs[last, a]) for a in came)
-                ways = [(first[0] + 1, first[1] + price[2, 1])]
+                ways = [(first[0] + 1, first[1] + shortest_path.LEAP)]
                 for a in came if last == t - 1 else ():
                     if any((e == (t, a, b)).all() for e in blocked):
                         continue
@@ -93,8 +93,8 @@ def best_path(Q, state, most, endless, price, begin, toll, blocked, near=True):
                     )
                     if a != b and np.any(d > most):
                         continue
-                    extra = price[2, 0] if np.any(d > most) else 0.0
-                    ways.append((counts[last, a], costs[last, a] + (price[0] * d + price[1] * d * d).sum() + extra))
+                    extra = shortest_path.LONG if np.any(d > most) else 0.0
+                    ways.append((counts[last, a], costs[last, a] + (d + steep * d * d).sum() + extra))
             counts[t, b], costs[t, b] = min(ways)
             costs[t, b] += toll[t, b]
             counts[t, b] += (1 << 20) * (state[t, b] == shortest_path.TOUCHING)
@@ -119,7 +119,7 @@ def test_the_program_over_tracks(seed):
     )
     if seed % 3 == 0:
         state[3] = shortest_path.DEAD
-    most, price = np.array([0.35, 0.3]), np.array([[1.0, 0.7], [0.5, 0.3], [5.0, 2.5]])
+    most, steep = np.array([0.35, 0.3]), np.array([0.5, 0.3])
     begin = np.array([rng.integers(0, 2, K), rng.random(K)], float)
     toll = np.where(rng.random((N, K)) < 0.3, rng.random((N, K)), 0.0)
     blocked = np.array(
@@ -128,9 +128,9 @@ def test_the_program_over_tracks(seed):
     counts, costs = np.zeros((N, K), int), np.zeros((N, K))
     parents, prior = np.full((N, K), 99), shortest_path.layers_before(state)
     order = shortest_path.sorted_tracks(Q[..., 0], endless[0])
-    args = (Q, state, prior, most, endless, price, begin, toll, blocked, 0, order)
+    args = (Q, state, prior, most, endless, steep, begin, toll, blocked, 0, order)
     shortest_path.link_layers(*args, 0, counts, costs, parents)
-    wanted, paid = best_path(Q, state, most, endless, price, begin, toll, blocked)
+    wanted, paid = best_path(Q, state, most, endless, steep, begin, toll, blocked)
     alive = state != shortest_path.DEAD
     np.testing.assert_array_equal(counts[alive], wanted[alive])
     np.testing.assert_allclose(costs[alive], paid[alive], rtol=1e-12)
