@@ -17,7 +17,6 @@ from .options import make_options
 from .registry import make_rule
 
 FOLDER = Path(__file__).with_name("presets")
-TABLES = ("parameters", "options")  # tables of a preset file; what else it has describes its origin
 LARGEST = 16_000_000  # largest size of a preset file that is read [bytes]
 
 
@@ -46,8 +45,9 @@ def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
         raise
     except (OSError, ValueError, RecursionError) as error:  # An integer with thousands of digits raises ValueError.
         raise InvalidOption(f"preset {name} cannot be read: {why_unread(error)}") from None
-    for key in (key for key, value in content.items() if isinstance(value, dict) and key not in TABLES):
-        raise InvalidOption(f"preset {name} has an unknown table [{key}].{near_match(key, TABLES)}")
+    tables = ("parameters", "options")
+    for key in (key for key, value in content.items() if isinstance(value, dict) and key not in tables):
+        raise InvalidOption(f"preset {name} has an unknown table [{key}].{near_match(key, tables)}")
     of = content.get("solver")
     if of is None or solver not in (of, "auto"):
         said = f"is for solver '{of}', not '{solver}'" if of else "does not name its solver"
