@@ -298,7 +298,7 @@ class Log:
     """
 
     def __init__(self, path: Path, asked: str) -> None:
-        """Create the file, or continue one of the same study. Raises InvalidOption if it belongs to another study, OSError."""
+        """Create the file, or continue one of the same study. Raises InvalidOption if it is of another study or kind, OSError."""
         self.path, self.asked, self.good = path, asked, 0
         self.entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.broken: OSError | None = None
@@ -318,7 +318,12 @@ class Log:
         with self.path.open("rb") as stream:
             try:
                 head = str(np.load(stream, allow_pickle=False))
-            except (ValueError, EOFError):
+            except (ValueError, EOFError):  # Either its first entry is cut off, or the file is of another kind.
+                stream.seek(0)
+                if not np.lib.format.MAGIC_PREFIX.startswith(stream.read(len(np.lib.format.MAGIC_PREFIX))):
+                    raise InvalidOption(
+                        f"'{self.path}' is no unfinished map; remove it, or choose another name"
+                    ) from None
                 return
             if head != self.asked:
                 raise InvalidOption(

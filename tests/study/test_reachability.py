@@ -229,6 +229,10 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path, monkeypatch):
         ik.reachability(robot, BOX, file=file, progress=stopping(1), **asked)
     with pytest.raises(InvalidOption, match=r"another robot, region or options"):
         ik.reachability(robot, BOX, file=file, **{**asked, "resolution": 0.2})
+    partial.write_text("notes of mine")
+    with pytest.raises(InvalidOption, match=r"map\.npz\.partial' is no unfinished map"):
+        ik.reachability(robot, BOX, file=file, **asked)
+    assert partial.read_text() == "notes of mine"
 
 
 def test_a_study_does_not_go_on_with_other_obstacles(tmp_path, monkeypatch):
