@@ -279,5 +279,7 @@ def _joint_table(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     if suffix != ".csv":
         raise ValueError("the file must be .csv, .npz or .json")
     head, values = read_columns(path, gaps=True)
-    t = values[:, head.index("t")] if head[0] == "t" else None
-    return [name.removeprefix("q_") if t is not None else name for name in head], values, t
+    if head[0] != "t":
+        return head, values, None
+    # The column of times is no joint, though a joint may be named t.
+    return [name.removeprefix("q_") for name in head[1:]], values[:, 1:], values[:, 0]

@@ -223,8 +223,10 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
         made.appendBodyToJoint(joints[j], model.inertias[j], pin.SE3.Identity())
     for k, frame in enumerate(model.frames):
         if k:
-            parents = joints[frame.parentJoint], frames[frame.parentFrame]
-            frames[k] = made.addFrame(pin.Frame(frame.name, *parents, frame.placement, frame.type), False)
+            joint = joints[frame.parentJoint]
+            frames[k] = made.addFrame(pin.Frame(frame.name, joint, 0, frame.placement, frame.type), False)
+    for k, frame in enumerate(model.frames):  # In a reduced or appended model a frame may stand before its parent.
+        made.frames[frames[k]].parentFrame = frames[frame.parentFrame]
     return made
 
 

@@ -1,5 +1,6 @@
 """The message of a solve: how it ended, in one sentence with what to try."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import KIND
 from ..kernel.kinematics import TAU
-from ..kernel.records import AT
+from ..kernel.records import AT, Ends
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, how_many, length
 from .decide import blocked
@@ -121,8 +122,9 @@ def _decided_says(result: Any, left: str) -> str:
         each = (
             f"{count} solutions exist; each breaks a limit" if count > 1 else "one solution exists; it breaks a limit"
         )
-        said = f"{each} (certified); least: {least.joint} by {angle(least.excess)}; closest {left} within limits"
-        parts = [said, "widen that limit, or free a part of the target"]
+        over = [f"{joint} by {much}" for joint, much in _beyond_limits(result.robot, least.q)]
+        said = f"{each} (certified); least: {' and '.join(over)}; closest {left} within limits"
+        parts = [said, f"widen {'that limit' if len(over) == 1 else 'these limits'}, or free a part of the target"]
     return "; ".join(filter(None, parts))
 
 
@@ -147,7 +149,7 @@ def why_missed(result: Any) -> str:
     ordered = result._of.plan.options.priority is not None
     outside = "" if ordered else _outside(result)
     if outside:
-        return f"{outside}; widen that limit, or move the target"
+        return outside
     if result.status == Status.LIMIT_BLOCKED:
         return ""
     never, few = impossible(result), "" if ordered else too_few_joints(result)
@@ -171,15 +173,20 @@ def _outside(result: Any) -> str:
     if result.status != Status.STALLED or not result.restarts or not of.plan.options.limits or not of.T.size:
         return ""
     row = of.plan.unlimited.solve(of.T, of.kinds, result.q[None], True)
-    q = row[of.plan.q_columns]
-    turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
-    q = q - TAU * turns
-    over = np.maximum(robot.lower - q, q - robot.upper)
-    j = int(over.argmax())
-    if row[AT.status] != Status.CONVERGED or over[j] <= 0.0:
+    over = _beyond_limits(robot, row[of.plan.q_columns])
+    if row[AT.status] != Status.CONVERGED or not over:
         return ""
-    much = length(over[j]) if robot.joint_kinds[j] == "prismatic" else angle(over[j])
-    return f"it is reached without joint limits, with {robot.joint_names[j]} {much} outside its own"
+    own, widen = ("its own", "that limit") if len(over) == 1 else ("their own", "these limits")
+    each = " and ".join(f"{joint} {much}" for joint, much in over)
+    return f"it is reached without joint limits, with {each} outside {own}; widen {widen}, or move the target"
+
+
+def _beyond_limits(robot: Any, q: np.ndarray) -> list[tuple[str, str]]:
+    """Return the joints outside their limits at q (n,) [rad or m], each with how far as text, the farthest first."""
+    turns = np.where(robot.chain.turns > 0.0, np.round((q - np.clip(q, robot.lower, robot.upper)) / TAU), 0.0)
+    over = np.maximum(robot.lower - (q - TAU * turns), q - TAU * turns - robot.upper)
+    said = [length if kind == "prismatic" else angle for kind in robot.joint_kinds]
+    return [(robot.joint_names[j], said[j](over[j])) for j in np.argsort(-over, kind="stable") if over[j] > 1e-9]
 
 
 def _left(result: Any) -> str:
@@ -255,14 +262,24 @@ def _closed_form_says(result: Any, left: str) -> str:
     )
 
 
+def _too_far(arm: Any, point: np.ndarray) -> float:
+    """Return by how much [m] a position (3,) in the base frame lies outside an arm's reach, whatever the orientation there."""
+    ends = Ends(arm.chain.ends, arm.n)
+    x, y, z = ends.flat[:9].reshape(3, 3).T @ (point / ends.scale() - ends.flat[9:12])
+    low, high = ends.bound(4), ends.bound(5)
+    near, far = z - min(max(z, low), high), max(abs(z - low), abs(z - high))
+    worst = max(math.hypot(x, y, near) - ends.bound(0), ends.bound(1) - math.hypot(x, y, far))
+    return float(ends.scale() * worst)
+
+
 def _failure(result: Any, left: str, tried: str) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        # The bound is for the wrist at the target's orientation. With another orientation the tip may come nearer than the bound.
+        # The bound may be that of the wrist at the target's orientation; with another one the tip may then come nearer.
         beyond = [
-            f"{tip} by {length(x)}{' with its orientation kept' * (x > position)}"
-            for tip, x, (position, _) in zip(robot.tips, result._of.excess(), unweighted(result)[0], strict=True)
+            f"{arm.tip} by {length(x)}{' with its orientation kept' * (x > _too_far(arm, T[:3, 3]))}"
+            for arm, x, T in zip(robot.arms, result._of.excess(), result._of.T.reshape(-1, 4, 4), strict=True)
             if x > 0
         ]
         if len(robot.tips) == 1:

@@ -41,8 +41,13 @@ def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
         if path.stat().st_size > LARGEST:
             raise InvalidOption(f"preset {name} is too large")
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except InvalidOption:
+        raise
+    except (OSError, ValueError, RecursionError) as error:  # An integer with thousands of digits raises ValueError.
         raise InvalidOption(f"preset {name} cannot be read: {why_unread(error)}") from None
+    tables = ("parameters", "options")
+    for key in (key for key, value in content.items() if isinstance(value, dict) and key not in tables):
+        raise InvalidOption(f"preset {name} has an unknown table [{key}].{near_match(key, tables)}")
     of = content.get("solver")
     if of is None or solver not in (of, "auto"):
         said = f"is for solver '{of}', not '{solver}'" if of else "does not name its solver"
@@ -59,7 +64,10 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
     for key in values:
         if key not in fields or key == "tuned":
             raise InvalidOption(f"preset {name}: solver '{solver}' has no parameter '{key}'.{near_match(key, fields)}")
-    make_options(options)
+    try:
+        make_options(options)
+    except InvalidOption as error:
+        raise InvalidOption(f"preset {name}: {error}") from None
     return values, options
 
 

@@ -20,7 +20,7 @@ from ..solvers.batch.targets import known, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
 from ..solvers.solve import require_robot
-from ..text import Tabled, TextTable, angle, figure, how_many, length
+from ..text import Tabled, TextTable, angle, figure, how_many, length, plain
 from ..validate import number, switch
 from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
@@ -131,10 +131,10 @@ class Placements(Tabled, Sequence[Placement]):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the placements as plain numbers, strings and lists."""
+        """Return the placements as plain numbers, strings and lists, ready for JSON; a clearance that was not asked for is None."""
         rows = [{key: getattr(one, key) for key in NUMBERS} | {"reached": one.reached.tolist()} for one in self.found]
         tips = self.found[0].tips.tolist() if self.found else []
-        return {"robot": self.robot, "poses": len(tips), "tips": tips, "placements": rows}
+        return plain({"robot": self.robot, "poses": len(tips), "tips": tips, "placements": rows})
 
 
 class PlaceInterrupted(Interrupted):

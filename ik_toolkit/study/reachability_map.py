@@ -253,33 +253,41 @@ class ReachabilityMap(Tabled):
                 a["rotations"] if len(a["rotations"]) else None,
                 bool(about["free"]),
                 a["poses"] if len(a["poses"]) else None,
-                tuple(about["axis"]),
+                tuple(float(x) for x in about["axis"]),
             )
             names, cells = tuple(str(name) for name in a["joint_names"]), grid.cells
             wanted = {
+                "low": (3,),
+                "size": (3,),
+                "shape": (3,),
+                "rotations": (len(a["rotations"]), 3, 3),
+                "poses": (len(a["poses"]), 4, 4),
                 "states": (cells, grid.turns),
                 "manipulability": (cells,),
                 "margin": (cells,),
                 "q": (cells, len(names)),
+                "audit": (len(Audit._fields),),
             }
-            yes = (a["states"] == Reach.YES).any(axis=1)
+            reached = (a["states"] == Reach.YES).any(axis=1)
+            finite = [a[name] for name in wanted if name != "q"]
             if (
                 about["format"] != 1
                 or any(a[name].shape != shape for name, shape in wanted.items())
+                or len(grid.axis) != 3
                 or not np.isin(a["states"], list(Reach)).all()
-                or not all(np.isfinite(one).all() for one in (a["manipulability"], a["margin"], a["q"][yes]))
+                or not all(np.isfinite(one).all() for one in (*finite, np.array(grid.axis), a["q"][reached]))
             ):
                 raise ValueError
+            return cls(
+                str(about["robot"]), str(about["tip"]), str(about["base"]), names, grid, a["states"].astype(np.int8),
+                a["manipulability"], a["margin"], a["q"], Audit(*(int(k) for k in a["audit"])), str(about["options"]),
+            )  # fmt: skip
         except OSError as error:
             raise InvalidOption(f"cannot read the map '{path.name}': {why_unread(error)}") from None
         except InvalidOption:
             raise
         except Exception:
             raise InvalidOption(f"'{path.name}' is no map that ik.reachability wrote, or it is damaged") from None
-        return cls(
-            str(about["robot"]), str(about["tip"]), str(about["base"]), names, grid, a["states"], a["manipulability"],
-            a["margin"], a["q"], Audit(*(int(k) for k in a["audit"])), str(about["options"]),
-        )  # fmt: skip
 
 
 class Log:
@@ -290,7 +298,7 @@ class Log:
     """
 
     def __init__(self, path: Path, asked: str) -> None:
-        """Create the file, or continue one of the same study. Raises InvalidOption if it belongs to another study, OSError."""
+        """Create the file, or continue one of the same study. Raises InvalidOption if it is of another study or kind, OSError."""
         self.path, self.asked, self.good = path, asked, 0
         self.entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.broken: OSError | None = None
@@ -310,7 +318,12 @@ class Log:
         with self.path.open("rb") as stream:
             try:
                 head = str(np.load(stream, allow_pickle=False))
-            except (ValueError, EOFError):
+            except (ValueError, EOFError):  # Either its first entry is cut off, or the file is of another kind.
+                stream.seek(0)
+                if not np.lib.format.MAGIC_PREFIX.startswith(stream.read(len(np.lib.format.MAGIC_PREFIX))):
+                    raise InvalidOption(
+                        f"'{self.path}' is no unfinished map; remove it, or choose another name"
+                    ) from None
                 return
             if head != self.asked:
                 raise InvalidOption(

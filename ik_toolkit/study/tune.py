@@ -2,7 +2,6 @@
 
 import importlib.util
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -367,34 +366,35 @@ class _Record:
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file, self.key = None if file is None else as_path(file, "checkpoint"), key
-        self.first: list[np.ndarray] = []
-        self.costs: list[np.ndarray] = []
+        self.done: list[tuple[np.ndarray, np.ndarray]] = []  # the first candidate and all costs of each generation
         if self.file is not None and self.file.exists():
-            known, self.first, self.costs = self.read(self.file)
+            known, self.done = self.read(self.file)
             if known != key:
                 raise InvalidOption(f"{file} belongs to another search: {known}")
 
     @staticmethod
-    def read(file: Path) -> tuple[str, list[np.ndarray], list[np.ndarray]]:
+    def read(file: Path) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
         try:
             check_arrays(file, ("key", "first", "costs"), ("key",), InvalidOption)
             with np.load(file) as old:
-                return str(old["key"]), list(old["first"]), list(old["costs"])
-        except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile):
+                key, first, costs = (old[name] for name in ("key", "first", "costs"))
+            if first.ndim != 2 or costs.ndim != 2 or not np.isfinite(costs).all():
+                raise ValueError
+            return str(key), list(zip(first, costs, strict=True))
+        except Exception:  # Damaged files raise errors of many types (zip, zlib, npy).
             raise InvalidOption(f"{file} is not the record of a search: move it, or choose another file") from None
 
     def replay(self, generation: int, X: np.ndarray) -> np.ndarray | None:
-        if generation >= len(self.costs):
+        if generation >= len(self.done):
             return None
-        if not np.allclose(X[0], self.first[generation], atol=1e-9):
-            raise InvalidOption(
-                f"{self.file} cannot be continued: the optimiser now proposes other candidates; delete it"
-            )
-        return self.costs[generation]
+        first, costs = self.done[generation]
+        if first.shape != X[0].shape or len(costs) != len(X) or not np.allclose(X[0], first, atol=1e-9):
+            raise InvalidOption(f"{self.file} cannot be continued: the optimiser proposes other candidates; delete it")
+        return costs
 
     def add(self, X: np.ndarray, costs: np.ndarray) -> None:
-        self.first.append(X[0].copy())
-        self.costs.append(costs.copy())
+        self.done.append((X[0].copy(), costs.copy()))
         if self.file is not None:
+            first, every = zip(*self.done, strict=True)
             with whole_file(self.file) as out:
-                np.savez(out, key=self.key, first=np.array(self.first), costs=np.array(self.costs))
+                np.savez(out, key=self.key, first=np.array(first), costs=np.array(every))

@@ -276,3 +276,20 @@ def test_ball_and_continuous_joints_of_a_given_model_keep_their_form():
     model.lowerPositionLimit[:] = -1.0
     robot = ik.Robot(model, tip="l4", base_limits=(-1, 1))
     check_fk(robot, model, 20)
+
+
+def test_a_ball_joint_of_a_reduced_model_is_taken_though_frames_stand_before_their_parents():
+    model, last, limits = pin.Model(), 0, np.ones(4)
+    for k, kind in enumerate(("RZ", "Spherical", "RY", "RX")):
+        joint = getattr(pin, f"JointModel{kind}")()
+        at, (q, v) = pin.SE3(np.eye(3), np.array([0.3, 0.1, 0.0])), (joint.nq, joint.nv)
+        last = model.addJoint(last, joint, at, f"j{k}", limits[:v], limits[:v], -2.0 * limits[:q], 2.0 * limits[:q])
+        model.addJointFrame(last)
+        model.addBodyFrame(f"l{k}", last, pin.SE3.Identity(), -1)
+    reduced = pin.buildReducedModel(model, [3], np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.4, 0.0]))
+    robot = ik.Robot(reduced, tip="l3")
+    q = robot.random_q(np.random.default_rng(0))
+    data = reduced.createData()
+    pin.framesForwardKinematics(reduced, data, robot.to_pinocchio(q))
+    base, tip = (data.oMf[reduced.getFrameId(name)] for name in (robot.base, "l3"))
+    assert np.allclose(base.actInv(tip).homogeneous, robot.fk(q).homogeneous, atol=1e-12)

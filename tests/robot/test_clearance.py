@@ -39,6 +39,13 @@ def exact(model, q):
     return out
 
 
+def test_a_distance_depends_on_no_earlier_one():
+    model = ik.CollisionModel(load("hydrolek_7w"))
+    Q = model.robot.random_q(np.random.default_rng(0), 20)
+    first, again = [repr(model.distances(q)) for q in Q], [repr(model.distances(q)) for q in Q[::-1]]
+    assert first == again[::-1]
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 def test_distances_are_those_of_hulls(name):
     model, rng = model_of(name), np.random.default_rng(1)

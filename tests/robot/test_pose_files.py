@@ -287,6 +287,13 @@ def test_a_motion_from_a_spreadsheet_is_read_as_poses_are(tmp_path):
     assert t.tolist() == [0.0] and Q.tolist() == [[0.5, 1.0]]
 
 
+def test_a_joint_may_be_named_like_the_column_of_times(tmp_path):
+    text = robots.load("planar_2r").urdf.replace('"joint_2"', '"t"')
+    (tmp_path / "m.csv").write_text("t,q_joint_1,q_t\n0,1,2\n0.1,3,4\n")
+    t, Q = read_motion(ik.Robot.from_urdf(text), tmp_path / "m.csv")
+    assert t.tolist() == [0.0, 0.1] and Q.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
 def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):
     (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1\n\n0,\nnan,2\n0,3\n")
     assert read_motion(robots.load("planar_2r"), tmp_path / "m.csv")[1].tolist() == [[0.0, 1.0], [0.0, 3.0]]

@@ -17,7 +17,6 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget, MissingExtra
 from ik_toolkit.robot.formats.dh import dh_fk
 from ik_toolkit.text import length
-from ik_toolkit.text import plain as plain_numbers
 
 DATA = read_data("closed_form")
 H = math.pi / 2
@@ -387,9 +386,11 @@ def test_markdown_and_plain_numbers():
     text = made._repr_markdown_()
     assert text == made.to_markdown() and r"\operatorname{atan2}" in text and r"column\_yaw" in text
     assert text.count("$$") % 2 == 0
-    plain = json.loads(json.dumps(plain_numbers(made.to_dict()), allow_nan=False))
+    plain = json.loads(json.dumps(made.to_dict(), allow_nan=False))
     assert plain["branches"][plain["chosen"]]["q"] == pytest.approx(made.q.tolist(), abs=1e-9)
     assert {step["unit"] for step in plain["steps"]} == {"m", "rad"}
+    searched = ik.solve(ik.Robot.load("planar_2r"), (1.0, 1.0, 0.0), "lm").explain()  # it has iterations, as arrays
+    assert len(json.loads(json.dumps(searched.to_dict(), allow_nan=False))["iterations"]["q"]) > 1
     values = {step["name"]: step["value"] for step in plain["given"]}
     for step in plain["steps"] + plain["branches"][plain["chosen"]]["steps"]:
         number = eval(compiled(step["formula"]), {"__builtins__": {}}, FUNCTIONS | values)

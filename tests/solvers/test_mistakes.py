@@ -167,7 +167,10 @@ def test_presets(arm, tmp_path):
         ('solver = "pid"\nparameters = 3\n', r"\[parameters\] and \[options\] must be tables"),
         ('solver = "pid"\noptions = 3\n', r"\[parameters\] and \[options\] must be tables"),
         ('solver = "pid"\n[parameters]\nkq = 1.0\n', r"solver 'pid' has no parameter 'kq'\. Did you mean 'k"),
-        ('solver = "pid"\n[options]\ntolerence = 1\n', "tolerence"),
+        ('solver = "pid"\n[options]\ntolerence = 1\n', r"mine\.toml: .*tolerence"),
+        ('solver = "pid"\n[option]\ntolerance = 1\n', r"unknown table \[option\]\. Did you mean 'options'"),
+        ("solver = " + 5000 * "[", r"mine\.toml cannot be read"),
+        ("solver = " + 5000 * "9", r"mine\.toml cannot be read"),
         ('solver = "state-space"\n', "is for solver 'state-space', not 'pid'"),
         ("solver = ", "cannot be read"),
     ):

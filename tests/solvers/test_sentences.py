@@ -108,6 +108,25 @@ def test_where_q_comes_nearer_than_the_bound_the_bound_says_that_it_keeps_the_or
     assert "orientation" not in ik.solve(crank, 3.0 * pose[:3, 3]).message
 
 
+def test_a_bound_of_the_wrist_says_that_it_keeps_the_orientation():
+    """A position that the tip reaches, in an orientation that needs the wrist where the arm cannot bring it."""
+    turns = dict(kind="revolute", limits=(-0.3, 0.3)), dict(kind="revolute", xyz="0.5 0 0", limits=(-1, 1))
+    arm = ik.Robot.load(robots.urdf(*turns, dict(kind="fixed", xyz="0.5 0 0")))
+    pose = arm.fk([0.3, 0.9]).homogeneous
+    pose[:3, :3] = pose[:3, :3] @ np.diag([-1.0, -1.0, 1.0])
+    turned, far = ik.solve(arm, pose), ik.solve(arm, pose[:3, 3] * 3.0)
+    assert ik.solve(arm, pose[:3, 3]).success and turned.status == far.status == Status.UNREACHABLE
+    assert "with its orientation kept (a bound from" in turned.message and "kept" not in far.message
+
+
+def test_all_limits_that_keep_the_arm_from_its_target_are_named():
+    axes = "1 0 0", "0.6 0.8 0", "0.48 0.36 0.8"
+    gantry = ik.Robot.load(robots.urdf(*[dict(kind="prismatic", axis=axis, limits=(-0.5, 0.5)) for axis in axes]))
+    ways = np.array([axis.split() for axis in axes], dtype=float)
+    result = ik.solve(gantry, gantry.fk([0.0, 0.0, 0.0]).translation + np.array([0.6, -0.9, 0.2]) @ ways)
+    assert "with j1 400 mm and j0 100 mm outside their own; widen these limits, or move the target" in result.message
+
+
 def test_beyond_reach(arm, brokk):
     for goal, restarts in (((9.0, 0.0, 0.0), 0), ((9.0, 0.0, 0.0), 2), (ik.pose((9.0, 0.0, 0.0)), 9)):
         result = ik.solve(arm, goal, "lm", q0=arm.home, restarts=restarts)

@@ -1,5 +1,6 @@
 """Maps of reach: equal to geometry where it is known, never a false yes, audited noes, files that survive, helpful errors."""
 
+import json
 import pickle
 import resource
 from concurrent.futures import ThreadPoolExecutor
@@ -185,6 +186,15 @@ def test_a_file_reads_back_and_a_damaged_one_says_so(dense, tmp_path):
     for damaged in (replace(found, states=np.full_like(found.states, 9)), replace(found, margin=found.margin * np.nan)):
         with pytest.raises(InvalidOption, match=r"bad\.npz"):
             ik.ReachabilityMap.load(damaged.save(tmp_path / "bad.npz"))
+    with np.load(file) as arrays:
+        kept = dict(arrays)
+    about = json.loads(str(kept["about"]))
+    changes: list[dict] = [{"about": np.array(json.dumps({k: about[k] for k in about if k != name}))} for name in about]
+    changes += [{"audit": kept["audit"][None]}, {"low": np.zeros(2)}, {"size": kept["size"] * np.nan}]
+    for change in [*changes, {"rotations": np.zeros((1, 2))}, {"shape": np.array([kept["shape"].prod()])}]:
+        np.savez(tmp_path / "bad.npz", **kept | change)
+        with pytest.raises(InvalidOption, match=r"'bad\.npz' is no map"):
+            ik.ReachabilityMap.load(tmp_path / "bad.npz")
     with pytest.raises(InvalidOption, match=r"a map is written as \.npz, not 'map\.json'"):
         found.save(tmp_path / "map.json")
 
@@ -219,6 +229,10 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path, monkeypatch):
         ik.reachability(robot, BOX, file=file, progress=stopping(1), **asked)
     with pytest.raises(InvalidOption, match=r"another robot, region or options"):
         ik.reachability(robot, BOX, file=file, **{**asked, "resolution": 0.2})
+    partial.write_text("notes of mine")
+    with pytest.raises(InvalidOption, match=r"map\.npz\.partial' is no unfinished map"):
+        ik.reachability(robot, BOX, file=file, **asked)
+    assert partial.read_text() == "notes of mine"
 
 
 def test_a_study_does_not_go_on_with_other_obstacles(tmp_path, monkeypatch):

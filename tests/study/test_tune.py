@@ -237,6 +237,12 @@ def test_only_a_record_of_a_search_is_overwritten(tmp_path):
         assert other.read_bytes() == content
     tune(robot, "dls", generations=1, checkpoint=mine, **SMALL)
     check_record(mine)
+    with np.load(mine) as arrays:
+        kept = dict(arrays)
+    for change in ({"first": kept["first"][:0]}, {"costs": kept["costs"][:, :2]}, {"costs": kept["costs"][0]}):
+        np.savez(mine, **kept | change)
+        with pytest.raises(InvalidOption, match=r"mine\.npz"):
+            tune(robot, "dls", generations=1, checkpoint=mine, **SMALL)
 
 
 def test_a_refused_search_leaves_the_record_of_the_one_before(refused, tmp_path):

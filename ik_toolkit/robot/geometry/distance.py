@@ -94,6 +94,9 @@ class Clearance:
             self._hulls.createData(),
         )
         shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
+        # Pinocchio's default requests start from the last result; these do not, so that a distance depends on no earlier one.
+        for k in range(len(pairs)):
+            self._hull_data.distanceRequests[k] = self._exact_data.distanceRequests[k] = coal.DistanceRequest()
         # References to the joint placements in pin.Data are made once, because making one takes three times as long as reading it.
         self._frames = list(self._data.oMi)
         self._hull_found, self._exact_found = (

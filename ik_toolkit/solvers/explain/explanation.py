@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.formats.dh import DHTable
-from ...text import angle, how_many, length
+from ...text import angle, how_many, length, plain
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,
@@ -235,7 +235,7 @@ class Explanation:
         ]
         one = made.free
         free = one and {"joint": self.robot.joint_names[one.joint], "inside": one.inside, "every": one.every}
-        return {
+        found = {
             "closed_form": self.form or None,
             "why": self.why,
             "dh": {tip: table and table.to_dict() for tip, table in self.tables.items()},
@@ -246,6 +246,7 @@ class Explanation:
             "free": free,
             "iterations": self.iterations and self.iterations._asdict(),
         }
+        return plain(found)
 
 
 def target_table(T: np.ndarray, places: int) -> Table:
