@@ -57,6 +57,9 @@ class Evolution:
         """Start at `start` (d,) with standard deviation `spread`."""
         import cma
 
+        np.empty(
+            (population, len(start))
+        )  # refused at once if it does not fit, where `cma` would fill the memory first
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
         if self.size == 1:  # The package `cma` fails in one dimension, so a dummy dimension is added.
