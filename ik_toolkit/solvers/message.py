@@ -12,7 +12,7 @@ from ..kernel.records import AT, SIZE
 from ..robot.configuration import followers_at_limits
 from ..text import angle, figure, how_many, length
 from .decide import blocked
-from .options import GROUPS
+from .options import GROUPS, PLAIN
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
 from .task import all_errors, counted_rows, what_counts
 
@@ -20,7 +20,6 @@ from .task import all_errors, counted_rows, what_counts
 ATTEMPTS = 20
 # weight of the orientation error while the position of a failed pose is searched for; small, so that position comes first
 FAINT = 1e-3
-NEAR = 1e-4  # [length / reach] position error at which the search for the position of a failed pose ends
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -356,15 +355,15 @@ def position_alone(result: Any, turned: bool) -> str:
     of = result._of
     if of.kinds != (KIND.pose,) or not of.T.size or of.plan.options.in_part:
         return ""
-    plan = of.plan.search(
-        mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, max_evaluations=None, timeout=None, follow=0.0,
-        closest=False, objective=None, history=False, avoid_collisions=False,
-    )  # fmt: skip
-    q = of.row[SIZE.answer : SIZE.answer + result.robot.n]
-    row = plan.solve(of.T, of.kinds, q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[SIZE.answer : SIZE.answer + len(q)], of.T, of.kinds, plan.options)
-    if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
+    plain = {**PLAIN, "max_evaluations": None, "timeout": None, "follow": 0.0}
+    both = of.plan.search(mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, **plain)
+    row, answer = of.row, slice(SIZE.answer, SIZE.answer + result.robot.n)
+    # The first search leaves a little of the position error, for the sake of the orientation; the second removes it.
+    for plan, kinds in ((both, of.kinds), (of.plan.search(restarts=0, **plain), (KIND.position,))):
+        row = plan.solve(of.T, kinds, row[answer][None], True)
+    if row[AT.status] != Status.CONVERGED:
         return ""
+    ((raw, _, _),) = all_errors(result.robot, row[answer], of.T, of.kinds, both.options)
     if turned:
         return "the position alone can be reached"
     nearest = angle(float(np.linalg.norm(raw[3:])))
