@@ -194,12 +194,21 @@ def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float
     write_whole(path, text.getvalue())
 
 
+def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the entries of a JSON object as a dict. Raises ValueError for a name given twice, of which a dict would lose one."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"it has {next(name for name in names if names.count(name) > 1)!r:.60} twice")
+    return made
+
+
 def read_json(path: Path, error: type[IKError]) -> Any:
-    """Read a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
+    """Read a JSON file. Raises `error`, which names the file, if it is too large or deep, ValueError if it is no clear JSON."""
     if path.stat().st_size > JSON_BYTES:
         raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_named_once)
     except RecursionError:
         raise error(f"'{path.name}': its lists are nested too deep") from None
 

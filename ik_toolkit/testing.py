@@ -16,6 +16,7 @@ import numpy as np
 
 from .errors import InvalidOption, NotSolved, UnknownSolver
 from .kernel.counted_error import KIND
+from .kernel.kinematics import TAU
 from .robot.robot import Robot
 from .robot.tree import Tree
 from .solvers.batch.solve_batch import solve_batch
@@ -346,14 +347,23 @@ def solves_batches(case: Case) -> None:
 
 
 def lists_solutions(case: Case) -> None:
-    """Check that every solution of `Solver.all` reaches the target inside the limits."""
-    target = case.target(case.robot.random_q(np.random.default_rng(case.seed)))
-    found = case.bind(max_iterations=100).all(target, starts=20, count=8)
-    case.claim(len(found) <= 8, "it lists more solutions than requested")
-    for q in found.q:
-        distance, angle = case.left(q, target)
-        case.claim(distance <= 1e-6 and (angle or 0.0) <= 1e-6, f"a listed solution is off by {distance:.3g} m")
-        case.claim(not _inside(case, q), "a listed solution is outside the limits")
+    """Check that all solutions of `Solver.all` reach the target inside the limits, and that a list called complete is."""
+    robot = case.robot
+    known = robot.random_q(np.random.default_rng(case.seed))
+    beyond = np.where(np.isfinite(robot.upper), robot.upper + 0.3, known)
+    for planted in (known, beyond):
+        target = case.target(planted)
+        found = case.bind(max_iterations=100).all(target, starts=20, count=8)
+        case.claim(len(found) <= 8, "it lists more solutions than requested")
+        case.claim(len(np.unique(found.q.round(6), axis=0)) == len(found), "it lists a solution twice")
+        for q in found.q:
+            distance, angle = case.left(q, target)
+            case.claim(distance <= 1e-6 and (angle or 0.0) <= 1e-6, f"a listed solution is off by {distance:.3g} m")
+            case.claim(not _inside(case, q), "a listed solution is outside the limits")
+        if found.complete and planted is known and len(found) < 8:
+            apart = np.abs(found.q - known)
+            apart = np.where(robot.slides, apart, np.minimum(apart % TAU, -apart % TAU)).max(axis=1)
+            case.claim((apart < 1e-3).any(), "a list called complete lacks a solution")
 
 
 def survives_pickling(case: Case) -> None:

@@ -103,7 +103,7 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
     if not out.as_json:
         _show(found)
     if stopped:
-        notice(f"partial: {counted[0]:,} of {counted[1]:,} solves were made")
+        notice(f"partial: {counted[0]:,} of {counted[1]:,} blocks of targets were solved")
         raise KeyboardInterrupt
 
 

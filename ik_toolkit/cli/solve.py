@@ -210,6 +210,8 @@ def solve(
     ik solve brokk_hydrolek --target left_tip:1.2,.4,1 --target right_tip:1,-.4,1
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
     """
+    from ..solvers.options import changed
+
     _refuse_contradictions(target, wish, many, out)
     deg = robot.deg
     aim = target.read(deg) if many.file is None and target.from_q is None else None
@@ -217,7 +219,9 @@ def solve(
     arm = robot.load(tips)
     rule = method.choose(arm)
     aim = aim if target.from_q is None else target.reached(arm, deg)
-    options = method.tuned(rule) | tolerances.read(deg) | method.read() | wish.read(arm, deg, many.file is not None)
+    options = (
+        changed(method.tuned(rule), tolerances.read(deg)) | method.read() | wish.read(arm, deg, many.file is not None)
+    )
     options |= counts.read(deg, target.relative) | collisions.read(arm, deg)
     start = options.pop("q0")
     if many.file is not None:

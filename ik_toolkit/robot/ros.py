@@ -96,7 +96,7 @@ def _numbers(message: Any, names: str) -> np.ndarray:
     what = f"the fields {', '.join(names)} of a ROS message must be numbers"
     array = floats([np.nan if value is None else value for value in given], what, InvalidTarget)
     if array.shape != (len(names),):
-        raise InvalidTarget(f"{what}, not {given!r:.120}")
+        raise InvalidTarget(f"{what}, not {' '.join(repr(given).split())[:120]}")
     return array
 
 

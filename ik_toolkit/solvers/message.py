@@ -21,7 +21,6 @@ from .task import all_errors, counted_rows, what_counts
 ATTEMPTS = 20
 # weight of the orientation error while the position of a failed pose is searched for; small, so that position comes first
 FAINT = 1e-3
-NEAR = 1e-4  # [length / reach] position error at which the search for the position of a failed pose ends
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -374,13 +373,15 @@ def position_alone(result: Any, turned: bool) -> str:
     of = result._of
     if of.kinds != (KIND.pose,) or not of.T.size or of.plan.options.in_part:
         return ""
-    mask = (1.0, 1.0, 1.0, FAINT, FAINT, FAINT)
-    more: dict[str, Any] = {"restarts": ATTEMPTS - 1, "max_evaluations": None, "timeout": None, "follow": 0.0}
-    plan = of.plan.search(**PLAIN, **more, mask=mask)
-    row = plan.solve(of.T, of.kinds, result.q[None], True)
-    ((raw, _, _),) = all_errors(result.robot, row[plan.q_columns], of.T, of.kinds, plan.options)
-    if np.linalg.norm(raw[:3]) > NEAR * result.robot.reach:
+    plain: dict[str, Any] = {**PLAIN, "max_evaluations": None, "timeout": None, "follow": 0.0}
+    both, q = of.plan.search(mask=(1.0, 1.0, 1.0, FAINT, FAINT, FAINT), restarts=ATTEMPTS - 1, **plain), result.q
+    # The first search leaves a little of the position error, for the sake of the orientation; the second removes it.
+    for plan, kinds in ((both, of.kinds), (of.plan.search(restarts=0, **plain), (KIND.position,))):
+        row = plan.solve(of.T, kinds, q[None], True)
+        q = row[plan.q_columns]
+    if row[AT.status] != Status.CONVERGED:
         return ""
+    ((raw, _, _),) = all_errors(result.robot, q, of.T, of.kinds, both.options)
     if turned:
         return "the position alone can be reached"
     nearest = angle(float(np.linalg.norm(raw[3:])))

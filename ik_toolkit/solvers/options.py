@@ -185,6 +185,12 @@ def avoided(value: Any) -> bool | float | CollisionModel:
     return as_margin(value, AVOID)
 
 
+def changed(carried: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that come with a rule or preset, changed by those given; a given `tolerance` replaces both tolerances."""
+    both = "tolerance" in given
+    return {name: value for name, value in carried.items() if not (both and name.endswith("_tolerance"))} | dict(given)
+
+
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
     """Return Options of validated keyword arguments; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 

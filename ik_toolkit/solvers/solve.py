@@ -24,7 +24,7 @@ from ..robot.tree import Tree
 from ..validate import FLOAT
 from .closed_form import fits
 from .decide import deciding, elimination_plan
-from .options import NAMES, AllOptions, Options, SolveOptions, make_options
+from .options import NAMES, AllOptions, Options, SolveOptions, changed, make_options
 from .outcome import make_outcome
 from .plan import Plan
 from .postprocess import finish_failure
@@ -213,15 +213,14 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     Raises UnknownSolver, InvalidOption.
     """
     row = find_row(solver)
-    preset, fields = {}, ()
+    fields = ()
     if isinstance(solver, str | type):
         fields = row.load()._fields
         rule = make_rule(row, {key: value for key, value in options.items() if key in fields})
         options = {key: value for key, value in options.items() if key not in fields}
     else:
         rule = solver
-        preset = solver.options()
-    return Plan(robot, row, rule, make_options({**preset, **options}, fields))
+    return Plan(robot, row, rule, make_options(changed(rule.options(), options), fields))
 
 
 _SOLVERS_LOCK = threading.Lock()

@@ -211,7 +211,8 @@ def benchmark(
             T, Q0 = problems(arm, targets, kind, start, seed)
             bound, refused = _bind(arm, asked, options, T, Q0, every=solvers is None)
             skipped |= {(label(arm.name, arm.tips), name): str(error) for name, error in refused.items()}
-            last = next(reversed(refused.values()), last)
+            wrong = (error for error in refused.values() if isinstance(error, InvalidOption))
+            last = next(wrong, next(reversed(refused.values()), last))
             for done, count in _measure(bound, T, Q0, executor, parts):
                 if progress is not None:
                     progress(number * count + done, len(arms) * count)
@@ -223,7 +224,7 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # Nothing was solved because no solver applies to any robot. Then an option is probably wrong, and the last error says which.
+    # Nothing was solved because no solver applies to any robot. Then an option is probably wrong, and an error says which.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))

@@ -57,6 +57,8 @@ class Evolution:
         """Start at `start` (d,) with standard deviation `spread`."""
         import cma
 
+        # A population that does not fit into memory is refused at once; `cma` would fill the memory first.
+        np.empty((population, len(start)))
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
         if self.size == 1:  # The package `cma` fails in one dimension, so a dummy dimension is added.

@@ -2,7 +2,7 @@
 
 import importlib.util
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -87,15 +87,15 @@ def _share(one: Score) -> str:
     return f"{1000 * one.share:.1f} of 1000, {one.iterations:.1f} iterations"
 
 
-def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
+def score(robot: Robot | Tree, rule: Any, sets: Iterable[np.ndarray], **options: Any) -> Score:
     """Solve equally large sets of targets with a configured solver (rule) or a solver by name, and count the successes."""
-    successes, iterations = [], []
+    successes, iterations, targets = [], [], np.empty(0)
     for targets in sets:
         result = solve_batch(robot, targets, rule, check=0.0, **options)
         successes.append(int(result.success.sum()))
         iterations.append(result.iterations[result.success])
     steps = np.concatenate(iterations)
-    return Score(successes, len(sets[0]), float(steps.mean()) if len(steps) else math.nan)
+    return Score(successes, len(targets), float(steps.mean()) if len(steps) else math.nan)
 
 
 @dataclass
@@ -249,11 +249,11 @@ def tune(
     interrupted = False
     rule: Any = None
     rules = {"tuned": rule, "start": space.initial, "default": default}
-    fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
 
-    def judge(sets: list[np.ndarray]) -> tuple[Score, dict[str, Score], str]:
+    def judge(count: int) -> tuple[Score, dict[str, Score], str]:
         rules["tuned"] = rule
-        scores = {name: score(robot, one, sets, **options) for name, one in rules.items()}
+        sets = ((draw(HELD_OUT, 1000, k) for k in range(count)) for _ in rules)  # each set is drawn when it is needed
+        scores = {name: score(robot, one, next(sets), **options) for name, one in rules.items()}
         best = max((name for name in rules if not (as_asked and name == "default")), key=lambda name: scores[name].rank)
         return score(robot, rule, [train], **options), scores, best
 
@@ -262,13 +262,13 @@ def tune(
         validation = draw(VALIDATION, 2 * targets)
         judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
         rule = space.build(min(judged)[2])
-        train_score, scores, kept = judge(fresh)
+        train_score, scores, kept = judge(held_out)
     except KeyboardInterrupt:
         interrupted = True
         if not search.best:
             raise
         rule = rule or space.build(search.best[0][1])
-        train_score, scores, kept = judge(fresh[:JUDGED_SOON])
+        train_score, scores, kept = judge(JUDGED_SOON)
     rule = rules[kept]
     return TuneResult(
         robot=robot.name,

@@ -1,5 +1,6 @@
 """`check_solver` catches solvers that break the contract: each fault is a rule that runs the real search and corrupts its rows."""
 
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.kernel.records import AT, SIZE
 from ik_toolkit.kernel.search import entry
+from ik_toolkit.solvers.closed_form.geometry import Branches, Fit
 from ik_toolkit.solvers.rules.jacobian import LM
 from ik_toolkit.testing import CLAUSES, cases, check_solver
 
@@ -113,6 +115,63 @@ def test_every_clause_is_broken_by_some_fault(clause):
         except (AssertionError, ik.IKError):
             broken += 1
     assert broken
+
+
+FORM_FAULTS = {  # what a wrong closed form makes of the one true branch (1, 2) of the gantry: its list; and how it is told
+    "true": (lambda q: q, ""),
+    "twice": (lambda q: np.repeat(q, 2, axis=0), "it lists a solution twice"),
+    "beyond": (lambda q: q, "a listed solution is outside the limits"),
+}
+
+
+@ik.closed_form
+class Gantry(NamedTuple):
+    """Two prismatic joints along x and y, as of the robot cartesian_pp, with a fault."""
+
+    fault: str = "true"
+    pose = False
+
+    @staticmethod
+    def recognise(chain):
+        return Fit(np.zeros(0), "", 0.0)
+
+    def pack(self, robot, asked):
+        return np.zeros(0)
+
+    def every(self, robot, p, T, box, count):
+        J = robot.chain.forward(robot.home[None], jacobian=True)[1][0, :3]
+        q = np.linalg.lstsq(J, T[:3, 3] - robot.fk(np.zeros(2)).translation)[0][None]
+        broken = 0.0 if self.fault == "beyond" else max(0.0, *(box[0] - q[0]), *(q[0] - box[1]))
+        q = FORM_FAULTS[self.fault][0](q)
+        return Branches(q, np.full(len(q), broken), np.zeros((len(q), 3), dtype=np.int8), True, " of the gantry")
+
+
+@pytest.mark.parametrize("fault", FORM_FAULTS)
+def test_a_list_of_a_closed_form_is_checked(fault):
+    says = FORM_FAULTS[fault][1]
+    with pytest.raises(AssertionError, match=says) if says else nullcontext():
+        check_solver(Gantry(fault), robots=["cartesian_pp"])
+
+
+@ik.closed_form
+class OneElbow(NamedTuple):
+    """One of the two branches of a planar arm, as if there were no other."""
+
+    pose = False
+
+    @staticmethod
+    def recognise(chain):
+        return Fit(np.zeros(0), "", 0.0)
+
+    def every(self, robot, p, T, box, count):
+        q = ik.solve_all(robot, T[:3, 3], "planar-2r", q0=box[2], limits=False).q[:1]
+        broken = np.maximum(box[0] - q, q - box[1]).max(axis=1, initial=0.0)
+        return Branches(q, broken, np.zeros((len(q), 3), dtype=np.int8), True, " with one elbow")
+
+
+def test_a_list_that_is_called_complete_must_be():
+    with pytest.raises(AssertionError, match="a list called complete lacks a solution"):
+        check_solver(OneElbow, robots=["planar_2r"])
 
 
 @ik.rule(step=LM)

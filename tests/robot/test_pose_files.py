@@ -355,6 +355,13 @@ def test_large_and_deep_json_is_refused_before_it_takes_memory(tmp_path):
         read_poses(file, "targets")
 
 
+def test_a_name_given_twice_in_json_is_refused(tmp_path):
+    file = tmp_path / "twice.json"
+    file.write_text('{"targets": [[1, 0, 0]], "targets": [[0, 1, 0]]}')
+    with pytest.raises(InvalidTarget, match=r"twice\.json.* it has 'targets' twice"):
+        read_poses(file, "targets")
+
+
 @pytest.mark.parametrize("top", ["sep=;\n", "SEP=;\r\n", '"sep=;"\n\n', "\ufeffsep=;\n"])
 def test_the_line_in_which_excel_names_the_separator_is_skipped(tmp_path, top):
     assert poses_of(tmp_path, top + "x;y;z\n0,5;1;2\n").tolist() == [[0.5, 1.0, 2.0]]

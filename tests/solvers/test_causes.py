@@ -126,6 +126,18 @@ def test_a_plane_that_is_never_left_and_a_turn_that_never_happens_are_named():
     assert "the tip never turns, and the target is turned by 57.3 deg" in turned.message
 
 
+@pytest.mark.parametrize(("beyond", "said"), [(-1e-5, True), (0.0, True), (1e-5, False), (1e-2, False)])
+def test_a_position_is_said_to_be_reached_alone_only_if_it_is(beyond, said):
+    joints = [
+        dict(kind="prismatic", xyz="0 0 0", axis=axis, limits=(-1.0, 1.0)) for axis in ("1 0 0", "0 1 0", "0 0 1")
+    ]
+    arm = ik.Robot.load(robots.urdf(*joints, dict(kind="revolute", xyz="0 0 0", limits=(-2.0, 2.0))))
+    target = ik.pose((1.0 + beyond, 0.2, 0.1), rpy=(0.3, 0.0, 0.4))
+    result = ik.solve(arm, target)
+    assert not result.success and ("position alone can be reached" in result.message) == said
+    assert ik.solve(arm, target[:3, 3]).success == said
+
+
 @pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "panda"])
 def test_an_arm_that_can_do_everything_is_not_accused(name):
     if name == "panda" and not robots.have_data():

@@ -355,3 +355,29 @@ def test_an_error_says_whose_pose_is_wrong():
         ik.CollisionModel(robot).add(ik.Shape.sphere(0.1), hand)
     with pytest.raises(InvalidTarget, match=r"^the pose of a tool must be"):
         robot.with_tool(hand)
+
+
+class Table:
+    """A table as of polars: it is an array of its rows for numpy, and gives its columns when it is iterated over."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.rows, dtype=dtype)
+
+    def __iter__(self):
+        return iter(self.rows.T)
+
+    def __len__(self):
+        return len(self.rows)
+
+
+@pytest.mark.parametrize("by_tip", [False, True])
+def test_a_table_of_positions_is_read_by_rows(by_tip):
+    robot = load(ARM)
+    xyz = sample(robot, 3)[1][:, :3, 3]
+    table = Table(xyz)
+    many = ik.solve_batch(robot, {robot.tips[0]: table} if by_tip else table)
+    assert many.success.all()
+    assert np.allclose([robot.fk(q).translation for q in many.q], xyz, atol=1e-5)

@@ -238,3 +238,13 @@ def test_the_docstring_of_a_class_is_its_summary(tmp_path):
     (tmp_path / "mine.py").write_text(textwrap.dedent(RULE))
     row = find_row(solver_from_file(f"{tmp_path}/mine.py:HalfStep"))
     assert (row.name, row.summary, row.length()) == ("HalfStep", "Half of the step down the gradient.", Length())
+
+
+@pytest.mark.parametrize("carried", [{"tolerance": 1e-2}, {"position_tolerance": 1e-2}])
+@pytest.mark.parametrize("solver", ["pid", ik.PID])
+def test_options_that_come_with_parameters_hold_until_others_are_given(solver, carried):
+    robot = robots.load("planar_2r")
+    for options in (ik.Solver(robot, solver, tuned=carried).options, ik.Solver(robot, ik.PID(tuned=carried)).options):
+        assert options.position_tolerance == 1e-2
+    assert ik.Solver(robot, solver, tuned=carried, tolerance=1e-4).options.position_tolerance == 1e-4
+    assert ik.Solver(robot, ik.PID(tuned=carried), tolerance=1e-4).options.position_tolerance == 1e-4

@@ -108,6 +108,11 @@ def test_every_solver_meets_the_targets_with_one_attempt_and_with_equal_restarts
     assert ik.benchmark(robot, ["dls"], targets=2, tolerance=1e-3).options["restarts"] == study.RESTARTS
 
 
+def test_an_option_that_no_solver_takes_is_named():
+    with pytest.raises(ik.IKError, match=r"^restarts must be"):  # and not that a closed form, tried last, does not fit
+        ik.benchmark("planar_2r", targets=2, restarts=-1)
+
+
 @pytest.mark.parametrize("places", ["80", "100"])
 def test_the_table_fits_a_terminal(run, places, monkeypatch):
     """80 columns, both successes, no word cut off."""

@@ -100,6 +100,14 @@ def test_mistakes_are_named(call):
         call(robots.load("hydrolek_7w"))
 
 
+@pytest.mark.parametrize("method", ["cma", "pso"])
+def test_a_population_that_does_not_fit_into_the_memory_is_refused_at_once(method):
+    with pytest.raises(MemoryError):
+        tune(
+            robots.load("planar_2r"), "pid", method=method, population=10**15, generations=1, targets=2, held_out=10**15
+        )
+
+
 @pytest.mark.parametrize("bad", ["three", float("nan"), [], object(), 10**400, np.zeros((2, 2)), {}])
 @pytest.mark.parametrize(
     "name", ["method", "how", "targets", "held_out", "generations", "population", "seconds", "seed", "tolerance"]
