@@ -5,6 +5,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
+from ik_toolkit import text
 
 SAME = (
     "message", "solver", "position_error", "orientation_error", "iterations", "restarts", "attempt", "fk_evaluations",
@@ -112,8 +113,8 @@ def test_of_explanations():
     table = told["dh"]["tool"]
     assert set(table) == {"convention", "rows", "base", "tool"} and len(table["rows"]) >= 2
     assert set(table["rows"][0]) == {"name", "type", "theta", "d", "a", "alpha"} and np.shape(table["base"]) == (4, 4)
-    assert told["iterations"] == made.iterations._asdict()
+    assert told["iterations"] == text.plain(made.iterations._asdict())
     searched = ik.solve(robots.load("hydrolek_7w"), (1.0, 0.1, 0.2), "lm").explain()
     told, steps = searched.to_dict(), searched.iterations
     assert told["branches"] == [] == told["given"] == told["steps"] and told["closed_form"] is None and told["why"]
-    assert told["iterations"] == steps._asdict() and told["chosen"] is None
+    assert told["iterations"] == text.plain(steps._asdict()) != {} and told["chosen"] is None
