@@ -381,7 +381,7 @@ class Search:
 
     def unreachable(self) -> list[Unreachable]:
         """Return the requested poses for which no solution was found, with the reason."""
-        said = []
+        said, kept = [], "" if {*self.problem.kinds} <= {KIND.position, KIND.free} else " with its orientation kept"
         for t in np.flatnonzero((self.program.state == DEAD).all(axis=1)):
             place = self.problem.at[t]
             if place != round(place):  # An inserted pose is not reported.
@@ -392,7 +392,7 @@ class Search:
             elif beyond is None:
                 reason = f"no room for its solutions, because a search follows at most {MOST}"
             elif beyond > 0.0:
-                reason, proven = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)", True
+                reason, proven = f"beyond reach by {length(beyond, 4)}{kept} (a bound from the link lengths)", True
             elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
                 none, proven = np.isnan(self.listing[0][t]).all(), True
                 reason = "no joint values reach it, limits or not" if none else "every solution violates a joint limit"

@@ -1,5 +1,6 @@
 """Whole paths: one motion through every pose if there is one, and the message if there is none."""
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -88,7 +89,8 @@ def test_poses_out_of_reach_are_named(flat):
     made = ik.solve_path(flat, np.array([planar_pose(x, 0.0, 0.0) for x in np.linspace(5.5, 6.5, 41)]))
     assert made.status == PathStatus.INCOMPLETE
     assert [one.index for one in made.unreachable] == list(range(21, 41))
-    assert all(one.proven and one.reason.startswith("beyond reach by ") for one in made.unreachable)
+    words = "beyond reach by .*m with its orientation kept "  # another orientation may put the wrist, and so the tip, nearer
+    assert all(one.proven and re.match(words, one.reason) for one in made.unreachable)
     assert np.isfinite(made.q[:21]).all() and np.isnan(made.q[21:]).all()
 
 
