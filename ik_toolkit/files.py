@@ -37,6 +37,11 @@ def as_path(value: Any, what: str = "it") -> Path:
     return Path(value)
 
 
+def from_home(path: str | Path) -> Path:
+    """Return a path with the home folder in place of a leading ~; one of a user that does not exist stays as it is."""
+    return Path(os.path.expanduser(path))  # Path.expanduser raises where there is no such user.
+
+
 def as_output(value: Any, what: str, *suffixes: str) -> Path:
     """Return the path of a file to write. Raises InvalidOption, "WHAT is written as .a or .b, not .c", for another suffix.
 

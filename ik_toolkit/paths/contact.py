@@ -93,7 +93,8 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     """
     robot, geometry, model = collision.robot, collision.geometry, collision.robot.model
     data = model.createData()
-    pin.forwardKinematics(model, data, robot._filled(robot.home))
+    # At q = 0 the poses of the joints show how far joints that are held, and the offsets of those that mimic, move the links.
+    pin.forwardKinematics(model, data, robot._filled(np.zeros(robot.n)))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
     # for each joint of Pinocchio's model its index in q, and how far it turns [rad] and slides [m] per unit of q
@@ -116,7 +117,7 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
                 i, turn, slide = moved[j]
                 own[k, i, j] = turn * reach + slide
                 reach += slide * stroke[i]
-            reach += float(np.linalg.norm(model.jointPlacements[j].translation))
+            reach += float(np.linalg.norm(data.liMi[j].translation))
             j = model.parents[j]
     arms = np.zeros((robot.n, len(geometry.collisionPairs)))
     for p, pair in enumerate(geometry.collisionPairs):

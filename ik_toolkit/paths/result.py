@@ -236,7 +236,7 @@ class PathResult:
 
         Raises:
             InvalidOption: limits are missing or not positive, or path_tolerance is not above the poses' own tolerance.
-            NotSolved: the path was not followed.
+            NotSolved: the path was not followed, or an obstacle has been moved into it since.
             MissingExtra: SciPy is not installed.
         """
         from .timing import retime

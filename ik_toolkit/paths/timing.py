@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, whole
+from ..errors import InvalidOption, NotSolved, floats, whole
 from ..motion.time_law import time_law, times_of
 from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
@@ -15,7 +15,7 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..text import angle, duration, figure, length
 from ..validate import positive
-from .contact import clearance_along, connect
+from .contact import clearance_along, connect, find_contacts
 from .path_problem import read_path_tolerance
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
@@ -41,6 +41,7 @@ def retime(
     rate, seed = positive(rate, "rate [1/s]"), whole(seed, "seed", 0)
     asked = math.inf if tip_speed is None else positive(tip_speed, "tip_speed [m/s]")
     result.raise_for_status()
+    free_now = _free_now(result)
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)
     made: list[Piece] = []
@@ -60,9 +61,7 @@ def retime(
             if j and piece.duration:
                 stops.append(float(places[rows.start]))
             off, turned, free = (
-                (*result.deviation, math.inf if result.clearance is None else result.clearance)
-                if found is None
-                else (found.deviation, found.turn, found.clearance)
+                (*result.deviation, free_now) if found is None else (found.deviation, found.turn, found.clearance)
             )
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
             made.append(_with_repeats(piece, order))
@@ -129,6 +128,25 @@ def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.nda
             f"rate = {rate:g} gives {figure(total * rate)} samples in {duration(total, 4)}; at most {MOST_SAMPLES:g}"
         )
     return pieces, np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
+
+
+def _free_now(result: Any) -> float:
+    """Return the proven least distance [m] of any two parts on a PathResult, with all obstacles where they are now.
+
+    Obstacles may have moved since the path was found. Raises NotSolved if parts touch.
+    """
+    if result.collision is None:
+        return math.inf
+    moving = np.zeros(len(result.curve) - 1, dtype=bool)
+    for piece in result.pieces:
+        moving[piece.start : piece.stop - 1] = True
+    free, contacts, unproven = find_contacts(result.collision, result.curve, result.at, moving)
+    if contacts:
+        touching, place = " and ".join(contacts[0].pair), round(contacts[0].place, 3)
+        message = f"obstacles have moved since the path was found: {touching} touch at pose {place:g}; search again"
+        proof = replace(result.continuity, clearance=free, contacts=contacts, unproven=unproven)
+        raise NotSolved(replace(result, status=type(result.status).COLLISION, continuity=proof, message=message))
+    return free
 
 
 def _without_repeats(result: Any) -> tuple[Any, np.ndarray]:

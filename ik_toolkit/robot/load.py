@@ -1,6 +1,7 @@
 """Reads anything a user may name as a robot into its URDF text and Pinocchio model."""
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, RobotNotFound
+from ..files import from_home
 from ..text import figure
 from .base import carried
 from .formats.description import Urdf
@@ -160,7 +162,7 @@ def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> t
 
 def require_text_or_file(source: str | Path) -> None:
     """Raise RobotNotFound unless a source is XML text or the path of a file."""
-    if not is_text(source) and not (isinstance(source, str | Path) and Path(source).expanduser().is_file()):
+    if not is_text(source) and not (isinstance(source, str | Path) and os.path.isfile(from_home(source))):
         raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
 
 
@@ -171,7 +173,7 @@ def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
     require_text_or_file(urdf)
     text = safe_read(urdf)
     require_loadable(text)
-    return text, path or Path(urdf).expanduser()
+    return text, path or from_home(urdf)
 
 
 def based(
@@ -212,12 +214,12 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
     Raises InvalidOption if one of them does not exist.
     """
     try:
-        folders = [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
+        folders = [from_home(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
     except TypeError:
         raise InvalidOption(f"package_dirs must be a list of folders, not {given!r:.60}") from None
     for folder in folders:
-        if not folder.is_dir():
-            raise InvalidOption(f"package_dirs: there is no folder '{folder}'")
+        if not os.path.isdir(folder):
+            raise InvalidOption(f"package_dirs: there is no folder '{folder!s:.200}'")
     return folders
 
 

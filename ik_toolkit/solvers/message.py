@@ -59,10 +59,12 @@ def sentence(result: Any) -> str:
     if status == Status.CONSTRAINT_OPEN:
         kept = constraints_of(result.robot, result.q, plan.options)
         return f"the tip is {left} from its target, but {kept.text}; {ADVICE[status]}"
-    if result.collision is not None:
-        touching = " and ".join(result.collision)
-        text = f"every solution found from {tried} is in collision; here {touching} touch"
-        return f"{text}; {ADVICE[status]}"
+    if status == Status.COLLISION:
+        # The contact of a row of a batch is looked for afterwards, and is gone if the obstacle was moved in between.
+        here = (
+            f"here {' and '.join(result.collision)} touch" if result.collision else "what touched here has moved since"
+        )
+        return f"every solution found from {tried} is in collision; {here}; {ADVICE[status]}"
     if row[AT.excess] <= DECIDED and status != Status.CHECK_FAILED:
         return _decided_says(result, left)
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:

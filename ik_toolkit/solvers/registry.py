@@ -15,6 +15,7 @@ import functools
 import hashlib
 import importlib.util
 import logging
+import os
 import re
 import sys
 import traceback
@@ -24,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption, UnknownSolver, near_match, nearest
+from ..files import from_home
 from .rows import CLOSED_FORM, ROWS, Row
 
 GROUP = "ik_toolkit.solvers"  # name of the entry-point group in which other installed packages declare solvers
@@ -160,8 +162,8 @@ def solver_from_file(text: str) -> type:
     Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
     """
     name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
-    path = Path(name).expanduser().resolve()
-    if not path.is_file():
+    path = from_home(name).resolve()
+    if not os.path.isfile(path):
         near = near_match(path.name, sorted(one.name for one in path.parent.glob("*.py") if one.is_file()))
         raise InvalidOption(f"solver '{text}': there is no file '{name}'.{near}")
     classes = _classes(path)

@@ -9,6 +9,7 @@ from ..errors import InvalidOption, ModelError, whole
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
+from ..solvers.collision_free import collision_model
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import NOISE, PRIOR, WHAT, read_noise
 
@@ -44,9 +45,11 @@ def suggest_poses(
         q (count, n) [rad or m].
 
     Raises:
-        InvalidOption: An argument is wrong, or too few configurations are free of collisions.
+        InvalidOption: An argument is wrong or of another robot, or too few configurations are free of collisions.
     """
     require_one_tip(robot, "suggest_poses")
+    if isinstance(avoid_collisions, CollisionModel):
+        collision_model(robot, avoid_collisions)  # refuses the model of another robot
     arm = DrawnArm(robot, read_groups(parameters))
     sigma = read_noise(noise) or NOISE
     spread = arm.scales(*PRIOR)

@@ -150,3 +150,29 @@ def test_a_margin_that_is_kept_is_part_of_the_clearance_and_what_is_not_proven_h
         found, contacts, unproven = clearance(0.01, 2.0 - gap + 0.01 + above)[1]
         assert not contacts and (unproven == ()) == kept
         assert 0.01 <= found <= 0.01 + above if kept else found == 0.0
+
+
+BOOM = """<robot name="boom"><link name="root"/><link name="arm"/><link name="slide"/>
+<link name="hand"><collision><geometry><box size="0.004 0.004 0.004"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="root"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="out" type="prismatic"><parent link="arm"/><child link="slide"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.2" effort="1" velocity="1"/></joint>
+<joint name="boom" type="prismatic"><parent link="slide"/><child link="hand"/><axis xyz="1 0 0"/>{mimic}
+<limit lower="0" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_boom_held_out_or_with_an_offset_is_as_long_as_it_stands(held):
+    """The two metres of a slide that is locked, or follows with an offset, swing with the turning joint past a thin pole."""
+    follows = '<mimic joint="out" multiplier="1" offset="2"/>'
+    robot = ik.Robot.load(
+        BOOM.format(mimic="" if held else follows), tip="hand", locked={"boom": 2.0} if held else None
+    )
+    turned = [robot.fk((turn, 0.05)).translation for turn in np.arange(0.0, 0.08, 0.02)]
+    x, far = 0.0455, np.linalg.norm(turned[0])
+    pole = ik.CollisionModel(robot).add_cylinder(0.001, 1.0, (far * np.cos(x), far * np.sin(x), 0.0), name="pole")
+    motion = ik.solve_path(robot, turned, avoid_collisions=pole).retime(acceleration=1.0)
+    least = min(pole.distance(motion.at(t)[0]).distance for t in np.linspace(motion.t[0], motion.t[-1], 500))
+    assert motion.success
+    assert 0.0 < motion.clearance <= least

@@ -138,7 +138,7 @@ def test_a_free_motion_goes_around_what_stands_between():
 def test_it_is_said_when_there_is_no_free_motion(monkeypatch):
     monkeypatch.setattr("ik_toolkit.paths.contact.SECONDS", 0.05)
     robot = ik.Robot.load(POST)
-    model = ik.CollisionModel(robot).add_box((1.0, 0.1, 2.0), (0.5, 0.0, 0.0))
+    model = ik.CollisionModel(robot).add_box((1.0, 0.1, 2.0), (0.8, 0.0, 0.0))
     q = np.array([[-0.6, 0.0], [-0.55, 0.0], [0.55, 0.0], [0.6, 0.0]])
     made = motions.as_result(robot, q, breaks=[1], collision=model, kind=KIND.position).retime(1.0, 1.0)
     assert not made.success and "no collision-free motion" in made.message and "pose 2" in made.message

@@ -57,6 +57,19 @@ def test_mesh_files(arm, tmp_path, monkeypatch):
         model.add_mesh(tmp_path / "other.stl", (1.0, 0.0, 0.0))
 
 
+@pytest.mark.parametrize("name", ["~nobody_of_this_name/a.stl", f"/tmp/{'x' * 5000}.stl"])
+def test_names_that_no_file_can_have(arm, name):
+    """The home of a user who does not exist, and a name that is too long for any file."""
+    said = r"there is no file|there is no folder|no mesh file|cannot read"
+    ways = (
+        lambda: ik.CollisionModel(arm).add_mesh(name, (1.0, 0.0, 0.0)),
+        lambda: ik.Robot(arm.model, urdf=name),
+        lambda: ik.Robot.load("hydrolek_7w", srdf=name),
+        lambda: ik.Robot.load("hydrolek_7w", package_dirs=name),
+    )
+    refuses(ik.IKError, *((way, said) for way in ways))
+
+
 def test_what_is_near_where_there_is_nothing():
     text = robots.urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0"))
     alone = ik.CollisionModel(ik.Robot.load(filled(text, {"l2": ball(0.1)})))

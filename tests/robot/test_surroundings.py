@@ -10,7 +10,7 @@ from refusals import refuses
 from robots import have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, NotSolved
 
 ARM = "hydrolek_7w"
 AWAY = (9.0, 9.0, 9.0)
@@ -290,3 +290,19 @@ def test_a_path_that_only_comes_near():
         paths.append(ik.solve_path(arm, [t.translation for t in T], avoid_collisions=model))
     assert paths[0].continuity.clearance < 0.03 and not paths[0].continuity.contacts
     assert paths[1].continuity.contacts or not paths[1].success
+
+
+def test_what_was_found_before_an_obstacle_moved_says_so():
+    """A path is not put in time through an obstacle that came later, and a row of a batch does not blame its solver."""
+    arm = load(ARM)
+    model = ik.CollisionModel(arm).add_sphere(0.2, (0.0, 0.0, 3.0), "ball")
+    poses = np.array([arm.fk(arm.home + 0.02 * k).homogeneous for k in range(6)])
+    path = ik.solve_path(arm, poses, avoid_collisions=model)
+    assert path.success
+    model.move("ball", poses[3])
+    with pytest.raises(NotSolved, match=r"moved since .* and ball touch at pose"):
+        path.retime(acceleration=1.0)
+    row = ik.solve_batch(arm, poses[3:4], avoid_collisions=model)
+    assert "ball touch" in row[0].message
+    model.remove("ball")
+    assert "in collision; what touched here has moved since" in row[0].message

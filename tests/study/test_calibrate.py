@@ -285,6 +285,8 @@ def test_suggested_poses_tell_more(arm):
         ik.suggest_poses(arm, 3, what="socket")
     with pytest.raises(InvalidOption, match="avoid_collisions"):
         ik.suggest_poses(arm, 3, avoid_collisions="yes")
+    with pytest.raises(InvalidOption, match="another Robot object"):
+        ik.suggest_poses(arm, 3, avoid_collisions=ik.CollisionModel(ik.Robot.load("hydrolek_7w")))
 
 
 def test_intervals_are_numbers_however_wide_the_prior_is(arm):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
-from ...files import why_unread
+from ...files import from_home, why_unread
 from ...text import decimal
 from ..rotation import rpy_matrix
 from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
@@ -121,7 +121,7 @@ def read_dh_table(path: str | Path) -> DHTable:
     classic` (base_xyz, base_rpy, tool_xyz and tool_rpy as three numbers), a header of column names and one line per
     joint. Raises ModelError, which names the row and the column.
     """
-    path = Path(path).expanduser()
+    path = from_home(path)
     if path.suffix.lower() not in (".toml", ".csv"):
         raise ModelError(f"a D-H table is a .toml or .csv file, not '{path.name}'")
     try:

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import FrameNotFound, InvalidOption, ModelError, near_match
+from ...files import from_home
 from ...text import first_few
 from ..probe import find_path
 from ..tips import frame_id
@@ -189,7 +190,7 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
     given: str | Path = expanded(source)
-    path = None if is_text(given) else Path(given).expanduser().absolute()
+    path = None if is_text(given) else from_home(given).absolute()
     return Srdf(path=path, **contents(source_text(given, "SRDF")))
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ...errors import ModelError
-from ...files import why_unread
+from ...files import from_home, why_unread
 from ...text import decimal
 
 
@@ -137,7 +137,7 @@ def source_text(source: str | Path, what: str) -> str:
         if len(source) > CAPS.bytes:
             raise ModelError(f"the {what} text is larger than {CAPS.bytes // 1_000_000} MB")
         return undeclared(source.lstrip(BLANK))
-    return _read_file(Path(source).expanduser())
+    return _read_file(from_home(source))
 
 
 def _read_file(path: Path) -> str:

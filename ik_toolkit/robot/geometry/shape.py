@@ -1,5 +1,6 @@
 """Collision shapes: boxes, spheres, cylinders, capsules and meshes, in the workspace, on a tool or held by the robot."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -10,7 +11,7 @@ import coal
 import numpy as np
 
 from ...errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
-from ...files import as_path
+from ...files import as_path, from_home
 from ...text import how_many
 from ..formats.urdf import SIZES
 from .meshes import Mesh, find_mesh, read_meshes
@@ -80,9 +81,9 @@ class Shape:
         if self.kind != "mesh":
             return PLAIN[self.kind](*self.sizes)
         path, scale = self.sizes
-        file = Path(path).expanduser()
-        if not file.is_file():
-            raise InvalidConfiguration(f"there is no mesh file '{path}'")
+        file = from_home(path)
+        if not os.path.isfile(file):  # Path.is_file raises if a name is too long.
+            raise InvalidConfiguration(f"there is no mesh file '{path:.200}'")
         try:
             real = find_mesh(str(file.absolute()), [file.resolve().parent, file.absolute().parent])
         except ModelError as error:
