@@ -118,7 +118,7 @@ class Tracker(CopiesViews, ReadOnly):
         moves = bool(limits) and self._mode == MODE.direct
         self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
         # objects that move the joints in place of the tracking method where that fails or is slow
-        self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
+        self._ways = ways(self._postures, self.engine, straight, reconfigure, self._world)
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # an error with slack takes two rows
@@ -291,8 +291,8 @@ class Tracker(CopiesViews, ReadOnly):
         """Examine the step just taken, which may start a move to another posture or to a target that jumped; left [m]: error."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
-            self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
-            self._limits, self._settings.law, lambda q: self.error_at(q, self.stream.last_of(samples), h),
+            self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, h, unseen, self._q, self._rate,
+            self._limits, lambda q: self.error_at(q, self.stream.last_of(samples), h),
         )  # fmt: skip
         for way in self._ways:
             way.watch(taken)
@@ -329,7 +329,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(weights.reshape(-1, 2, 3)[:, 1].any(axis=1).tolist())
         firm = np.array(group_levels(self.robot, self.engine.options)).reshape(-1, 2) == 0
-        self._judged = StatusContext(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
+        self._judged = StatusContext(self.robot, self.engine.natural, posed, firm, self.jump, self._speed)
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:

@@ -27,7 +27,7 @@ def step(
     left, still = np.concatenate(errors), new_samples(2, 2)
     still.T[:] = np.eye(4)
     out = (
-        StatusContext(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)),
+        StatusContext(robot, lambda h: 1.0 / h, (True, True), np.ones((2, 2)), 0.5, np.ones(2)),
         np.array(code, np.uint8), np.array(before),
         np.array([left, left]), still.block, 0.01, 0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
