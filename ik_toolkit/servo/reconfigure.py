@@ -32,8 +32,8 @@ from ..solvers.plan import Plan
 from ..solvers.registry import find_row, search_for
 from ..solvers.task import group_levels
 from .adapters import LEVER
-from .motion_limits import speeds
 from .step import Lead
+from .stepper import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 

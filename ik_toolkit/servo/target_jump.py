@@ -17,9 +17,9 @@ from ..motion.reference import exp
 from ..motion.time_law import time_law, times_of
 from ..validate import positive, switch
 from .adapters import Published, RuleSteps
-from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .step import Lead
+from .stepper import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, LIMIT, MARGIN, UNKNOWN, bending, time_left, travel
 
