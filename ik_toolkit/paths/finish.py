@@ -34,6 +34,7 @@ class Terms(NamedTuple):
 
     step: tuple[float, float]  # largest joint step between rows [rad], [m]
     tolerance: tuple[float, float]  # largest deviation of a tip from the interpolated poses [m], [rad]
+    given: bool  # whether the caller gave this tolerance
     allowed: float  # largest number of reconfigurations
 
 
@@ -76,7 +77,7 @@ def proven(search: Search, found: Found, q: np.ndarray, terms: Terms) -> ProvenM
 
     found: the path as the search found it. Returns the rows, the motion between them, and what is proven.
     """
-    p, (step, tolerance, _) = search.problem, terms
+    p, step, tolerance = search.problem, terms.step, terms.tolerance
     q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
     curve = p.inside(curve)

@@ -109,7 +109,8 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     robot, seed = solver.robot, solver.options.seed  # This robot may have narrower limits; a seed of 1.0 is now 1.
     T, kinds = _read(robot, poses)
-    terms = Terms(read_pair("max_step", max_step, STEP), read_path_tolerance(path_tolerance, solver.options), allowed)
+    tolerance = read_path_tolerance(path_tolerance, solver.options)
+    terms = Terms(read_pair("max_step", max_step, STEP), tolerance, path_tolerance is not None, allowed)
     model = None if (asked := avoided(avoid_collisions)) is False else collision_model(robot, asked)
     q0, q_end, notice = _ends(solver.plan_for(kinds), q0=q0, q_end=q_end)
     wanted, places, met, follower = None, None, None, None
@@ -156,7 +157,6 @@ def solve_path(
             _share_bound(search, other)
             both = (_result(one, terms, began) for one in (search, other))
             made = min(both, key=lambda one: (not one.success, len(one.reconfigurations)))
-        made = replace(made, tolerance_given=path_tolerance is not None)
         return _against(_fewer(met, made), wanted, notice)
     except KeyboardInterrupt:
         if search.found is None:
@@ -289,8 +289,8 @@ def _result(search: Search, terms: Terms, began: float, refine: bool = True) -> 
         message="", position_error=errors[:, 0],
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
-        unreachable=missing, max_step=terms.step, path_tolerance=terms.tolerance, collision=search.model,
-        seed=problem.solver.options.seed, elapsed=perf_counter() - began - compile_time(began),
+        unreachable=missing, max_step=terms.step, path_tolerance=terms.tolerance, tolerance_given=terms.given,
+        collision=search.model, seed=problem.solver.options.seed, elapsed=perf_counter() - began - compile_time(began),
         fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
     # The cause comes from solving the first pose that is not reached. With a priority the pose itself need not be reached, so that

@@ -81,6 +81,10 @@ class Published:
         """Return the method and its gains at sample time h [s] as an array, in the order of the fields of `Law`."""
         return pack_law(self.method, h)
 
+    def natural(self, h: float) -> float:
+        """Return the rate [1/s] at which the method removes an error in steps of h [s] if nothing hinders it; 0: never."""
+        return laws.natural(laws.Law._make(self.law(h).tolist()), h)
+
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return the task as arrays for the compiled loop: which errors count, and how much.
 
@@ -147,6 +151,10 @@ class RuleSteps:
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING
         return law
+
+    def natural(self, h: float) -> float:
+        """Return the rate [1/s] at which an error is taken to fall in steps of h [s]: an iteration should remove all of it."""
+        return 1.0 / h
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return the task for the compiled loop: a flat array for the solver, and one (4, m) whose first row weights the errors.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import compiled, dual
+from ..compile.jit import compiled, dual, shared
 from ..kernel.linalg import TINY, cholesky, cholesky_solve
 from ..kernel.null_space import NULL, is_wide
 from ..kernel.records import Array
@@ -262,7 +262,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
             x[i] = rate[i] + h * u
 
 
-@dual
+@shared
 def natural(p, h):
     """Return the rate [1/s] at which a method p (`Law`) removes an error in steps of h [s] if nothing limits it; 0: never."""
     if p.code == LAW.cv:

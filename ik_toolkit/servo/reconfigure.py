@@ -32,8 +32,8 @@ from ..solvers.plan import Plan
 from ..solvers.registry import find_row, search_for
 from ..solvers.task import group_levels
 from .adapters import LEVER
-from .motion_limits import speeds
 from .step import Lead
+from .stepper import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, MARGIN, UNKNOWN, time_left, travel
 
@@ -51,11 +51,11 @@ class Taken(NamedTuple):
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
     stand: np.ndarray  # whether and for how long the target has stood still, see `RestState`; STAND holds the indices
     dt: float  # [s] length of the update
+    h: float  # [s] length of the step; a long update is taken in several steps
     since: float  # [s] time since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
-    law: np.ndarray  # the method and its gains, in the order of the fields of `Law`
     error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 

@@ -18,7 +18,7 @@ from ..validate import LATE
 from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_search, path_samples, singular_sides, targets_at
 from .singular_step import WEAK
-from .tracker import Tracker
+from .stepper import Stepper
 from .viability import BIT, bending
 from .workspace import START, STATE, Samples, new_record, samples_from
 
@@ -92,17 +92,17 @@ class Taken(NamedTuple):
     S: np.ndarray
     C: np.ndarray
     clock: Clock
-    end: np.ndarray  # state that the tracker carries at the end of the run
+    end: np.ndarray  # state that the stepper carries at the end of the run
     elapsed: float  # [s] time that the steps took to compute
     between: tuple[str, str] | None  # names of the two parts whose contact was avoided most often, or None
 
 
 class Run:
-    """Follows references (one per tip) with a tracker; makes several runs if the first fails, and returns the best one."""
+    """Follows references (one per tip) step by step; makes several runs if the first fails, and returns the best one."""
 
     def __init__(
         self,
-        tracker: Tracker,
+        stepper: Stepper,
         references: list[Reference],
         times: np.ndarray,
         tolerances: tuple[float, float],
@@ -114,16 +114,16 @@ class Run:
 
         settle [s]: time from which on errors are judged; counts: the options that say which errors count.
         """
-        self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
+        self.stepper, self.references, self.times, self.dt = stepper, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(min(stretch * (len(times) - 1), MAX_STEPS)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
         self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` replaces `fine` by more samples
-        tracker._late = LATE * self.dt
-        self.start, self.q0 = tracker.carried(), tracker.q
-        weights = tracker._settings.counts[0]
+        stepper.late = LATE * self.dt
+        self.start, self.q0 = stepper.carried(), stepper.joints()[0]
+        weights = stepper.settings.counts[0]
         self.counted = weights > 0.0  # (m,) which errors count
-        self.redundant = tracker.robot.n > self.counted.sum()
+        self.redundant = stepper.robot.n > self.counted.sum()
         self.made: list[Taken] = []
         self.interrupted = False
 
@@ -133,10 +133,10 @@ class Run:
         If no run keeps to the reference, the best is the one whose largest error is least, among the runs that reach its end.
         Ctrl-C ends the search with the best run so far, which may be incomplete. It is raised again if no step was taken.
         """
-        tracker = self.tracker
+        stepper = self.stepper
         # This call takes no step, but compiles (or loads) the loop, so that the reported time does not include compiling.
-        tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RETIME.runaway)
-        tracker.put_back(self.start)
+        stepper.run(self.own, self.dt, new_record(1, stepper.robot.n, self.own.V.shape[1]), runaway=RETIME.runaway)
+        stepper.put_back(self.start)
         began = time.perf_counter()
         try:
             self._try(slow)
@@ -149,15 +149,15 @@ class Run:
         worst = [self._excess(one.E).max() for one in ended]
         near = kept or [one for one, far in zip(ended, worst, strict=True) if not far > RETIME.alike * min(worst)]
         best = min(near, key=lambda one: (one.missed, -one.clock.s[-1], len(one.Q)))
-        tracker.put_back(best.end)
+        stepper.put_back(best.end)
         self.searched = time.perf_counter() - began - best.elapsed
         return best
 
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
-        secondary, moves = self.tracker.secondary, bool(self.own.V[0].any())
+        secondary, moves = self.stepper.secondary, bool(self.own.V[0].any())
         here = Way(self.times, NOWHERE, secondary.avoid, secondary.wish[:2].copy())
-        from_rest = moves and self.tracker._begins_at_rest() and min(self.tracker._limits[LIMIT.acceleration]) < np.inf
+        from_rest = moves and self.stepper.begins_at_rest() and min(self.stepper.limits[LIMIT.acceleration]) < np.inf
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
             # no other run helps if the arm begins off its path
@@ -231,7 +231,7 @@ class Run:
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
         slowest = found[0][0] == 0 and found[0][1] > self.most  # The best path keeps to the reference, but too slowly.
-        other = plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one
+        other = plain and not slowest and self.stepper.engine.waits and not self.stepper.one_by_one
         if other and (planned := self._planned(samples)) is not None:
             yield Way(s, planned, 0.0, here.posture, led=True)
         if found[0][0] > 0:
@@ -239,7 +239,7 @@ class Run:
 
     def _besides(self, here: Way) -> Iterator[Way]:
         """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
-        lower, upper = self.tracker._limits[[LIMIT.lowest, LIMIT.highest]]
+        lower, upper = self.stepper.limits[[LIMIT.lowest, LIMIT.highest]]
         bounded = np.isfinite(upper - lower)
         for avoid in RETIME.harder:
             yield here._replace(avoid=avoid)
@@ -248,7 +248,7 @@ class Run:
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
         """Return the joint path (K + 1, n) of the method without speed and acceleration limits, and how many samples it misses."""
-        limits, state = self.tracker._limits, self.tracker._state
+        limits, state = self.stepper.limits, self.stepper.state
         self._begin(way)
         kept = limits.copy()
         limits[[LIMIT.speed, LIMIT.acceleration]] = np.inf
@@ -265,7 +265,7 @@ class Run:
 
     def _planned(self, samples: Samples) -> np.ndarray | None:
         """Return the joint path (K + 1, n) of `solve_path` from the present joints, or None if there is none."""
-        robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
+        robot, unit = self.stepper.robot, self.stepper.robot.chain.unit
         reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
         anywhere = bound_search(robot, **self.counts)
         targets = targets_at(reference, path_samples(robot, reference, RETIME.poses)[0])
@@ -286,14 +286,14 @@ class Run:
 
         share: part of the acceleration limits to use; over: how many times the limits are raised (RETIME.joints, RETIME.tip).
         """
-        limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
+        limits, s, n = self.stepper.limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        more, peak = RETIME.joints**over if self.redundant else 1.0, bending(self.tracker.engine.gamma)
+        more, peak = RETIME.joints**over if self.redundant else 1.0, bending(self.stepper.engine.gamma)
         speed, most = more * RETIME.speed * limits[LIMIT.speed], more * share / peak * limits[LIMIT.acceleration]
         # A step at constant twist misses the target by half of the tip's acceleration times dt^2. The tolerance limits both.
-        if self.tracker.engine.waits:
+        if self.stepper.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.repeat(2.0 * RETIME.tolerance * RETIME.tip**over * self.tolerances / self.dt**2, 3)
             speed = np.append(speed, np.full(len(self.counted), np.inf))
@@ -312,7 +312,7 @@ class Run:
 
     def _clear(self, way: Way) -> np.ndarray:
         """Return the highest clock rates (K + 1,) at which the arm can brake for obstacles (collision_guard.py)."""
-        guard, unit, rates = self.tracker._guard, self.tracker.robot.chain.unit, np.ones(len(way.s))
+        guard, unit, rates = self.stepper.guard, self.stepper.robot.chain.unit, np.ones(len(way.s))
         if guard is None:
             return rates
         slope = np.gradient(way.Q, way.s, axis=0) * unit
@@ -326,19 +326,19 @@ class Run:
         return np.interp(way.s, way.s[some], rates[some])
 
     def _begin(self, way: Way) -> None:
-        """Reset the tracker to the start of the run, with limit avoidance and posture as in `way`."""
-        self.tracker.put_back(self.start)
-        secondary = self.tracker.secondary
+        """Reset the stepper to the start of the run, with limit avoidance and posture as in `way`."""
+        self.stepper.put_back(self.start)
+        secondary = self.stepper.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
-        if self.tracker._guard:
-            self.tracker._guard.restart(self.tracker.q)
+        if self.stepper.guard:
+            self.stepper.guard.restart(self.stepper.joints()[0])
 
     def _take(self, clock: Clock, samples: Samples, way: Way) -> Taken:
         """Run from the start to the end of a clock, or until Ctrl-C; return the run."""
         began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         if way.led:
             path = resampled(clock.s, way.s, way.Q)
-            robot, posed = self.tracker.robot, [not one.position_only for one in self.references]
+            robot, posed = self.stepper.robot, [not one.position_only for one in self.references]
             way = way._replace(Q=path, sides=singular_sides(robot, posed, path * robot.chain.unit))
         self._begin(way)
         try:
@@ -353,20 +353,20 @@ class Run:
 
         If way.led, the steps follow the joint path of `way`, which is then given at the samples.
         """
-        tracker, count, k = self.tracker, len(samples.T) - 1, 0
-        most, ended = 1 if tracker.one_by_one or way.led else RETIME.at_once, False
+        stepper, count, k = self.stepper, len(samples.T) - 1, 0
+        most, ended = 1 if stepper.one_by_one or way.led else RETIME.at_once, False
         while not ended:
             steps = min(most, count - k)
             if way.led:
                 move = way.Q[k + 1] - way.Q[k]
-                tracker.secondary.wish[:] = way.Q[k], np.full(len(move), RETIME.lead / self.dt), move / self.dt
-                tracker._carried.away[:] = way.sides[k + 1]
-                tracker._state[STATE.near] = 1.0 + WEAK.side
+                stepper.secondary.wish[:] = way.Q[k], np.full(len(move), RETIME.lead / self.dt), move / self.dt
+                stepper.away[:] = way.sides[k + 1]
+                stepper.state[STATE.near] = 1.0 + WEAK.side
             now = samples if steps == count else samples_from(*(one[k : k + steps + 1] for one in samples[1:4]))
-            record = new_record(steps + 1, tracker.robot.n, samples.V.shape[1])
-            done = tracker.take(now, self.dt, record, runaway=RETIME.runaway)
-            if tracker._between:
-                pairs[tracker._between] += 1
+            record = new_record(steps + 1, stepper.robot.n, samples.V.shape[1])
+            done = stepper.take(now, self.dt, record, runaway=RETIME.runaway)
+            if stepper.between:
+                pairs[stepper.between] += 1
             k += done
             ended = k >= count or done < steps
             rows = done + 1 if ended else done
@@ -378,11 +378,11 @@ class Run:
         whole, C = len(clock.s), C[: len(Q) - 1]  # After Ctrl-C there is one row of limit bits too many.
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
-        if not self.tracker.engine.waits:
+        if not self.stepper.engine.waits:
             missed = int(((C & (BIT.velocity | BIT.acceleration)) > 0).any(axis=1).sum())
         missed += (whole - len(Q)) * self.most  # so that any incomplete run counts as worse than a complete one
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
-        return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
+        return Taken(missed, Q, R, E, S, C, clock, self.stepper.carried(), time.perf_counter() - began, most)
 
     def _excess(self, E: np.ndarray, settle: float | None = None) -> np.ndarray:
         """Return for each of M samples the largest ratio of error, in E (M, m), to tolerance; 0 before settle [s]."""

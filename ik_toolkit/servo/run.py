@@ -136,12 +136,12 @@ def track(
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
-    settle = settling(settle, tracker._begins_at_rest(), times[-1])
-    tracker.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
+    settle = settling(settle, tracker.stepper.begins_at_rest(), times[-1])
+    tracker.stepper.prepare(tuple(KIND.position if one.position_only else KIND.pose for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
     # Positions are judged only if they have the highest priority at some tip; likewise orientations.
-    tolerances = tuple(np.where(tracker._judged.firm.any(axis=0), tolerances, np.inf))
-    run = Run(tracker, references, times, tolerances, settle, stretch, counts)
+    tolerances = tuple(np.where(tracker.stepper.judged.firm.any(axis=0), tolerances, np.inf))
+    run = Run(tracker.stepper, references, times, tolerances, settle, stretch, counts)
     best = run.go(mode == "slow")
 
     result = None
@@ -182,31 +182,30 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
 
 def _judged(run: Run, best: Taken, check: Any) -> TrackResult:
     """Return the result of a run with its figures and verdict; check: the verdict on its gains, or None."""
-    tracker = run.tracker
     made = _result(run, best, check)
-    made.figures = figures(made, tracker.robot.chain.unit * JUMP)
-    made.status, made.message = verdict(made, int(tracker._state[STATE.stop]), run.count)
-    hold_against(made, tracker.robot)
+    made.figures = figures(made, run.stepper.robot.chain.unit * JUMP)
+    made.status, made.message = verdict(made, int(run.stepper.state[STATE.stop]), run.count)
+    hold_against(made, run.stepper.robot)
     return made
 
 
 def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     """Return the result of a run in m and rad, without figures and verdict."""
-    robot, references, clock = run.tracker.robot, run.references, best.clock.s
+    robot, references, clock = run.stepper.robot, run.references, best.clock.s
     Q, R = best.Q * robot.chain.unit, best.R * robot.chain.unit
     t, done = np.arange(len(Q)) * run.dt, len(Q) - 1
     targets = np.stack([one.at(clock)[0] for one in references], axis=1)
     tips = robot.chain.forward(Q)[0].reshape(targets.shape)
     errors = best.E.reshape(done + 1, -1, 6)
-    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
+    posed = [tip for tip, one in enumerate(run.stepper.judged.posed) if one]
     tip = slice(None) if robot.by_tip else 0
     between = (
-        _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and tip == 0 else (None, None)
+        _between(robot, references[0], Q, R, run.stepper.engine, run.dt, clock) if done and tip == 0 else (None, None)
     )
     return TrackResult(
         robot=robot.name,
-        method=run.tracker.engine.name,
-        options=run.tracker.engine.settings(run.dt),
+        method=run.stepper.engine.name,
+        options=run.stepper.engine.settings(run.dt),
         dt=run.dt,
         joint_names=robot.joint_names,
         t=t,

@@ -66,7 +66,8 @@ class StatusContext(NamedTuple):
     """What the status of a step depends on besides the step itself; it is the same for all steps of a tracker."""
 
     robot: Any
-    settings: Callable[[float], dict[str, float]]  # function that returns the method's gains for a sample time [s]
+    # function that returns the rate [1/s] at which an error falls in steps of a length [s] if nothing hinders it
+    natural: Callable[[float], float]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
     firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the highest priority level
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
@@ -184,10 +185,8 @@ class Step:
         If an arm cannot follow, but its target comes back, the error falls, too, but more slowly.
         """
         o, (before, after) = self._outcome, self._sizes()
-        gains = o.by.settings(o.h)
-        rate = gains.get("kappa", gains["kp"] / gains["kd"] if gains.get("kd") else 1.0 / o.h)
         swerve = (1.0 + JUDGE.rounding) * self._swerve()
-        return bool(after < (1.0 - JUDGE.falling * min(rate * o.h, 1.0)) * before + swerve)
+        return bool(after < (1.0 - JUDGE.falling * min(o.by.natural(o.h) * o.h, 1.0)) * before + swerve)
 
     def _sizes(self) -> np.ndarray:
         """Return the size (2,) of the errors before and after the step, with lengths in arm reaches."""

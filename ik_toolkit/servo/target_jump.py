@@ -16,10 +16,10 @@ import numpy as np
 from ..motion.reference import exp
 from ..motion.time_law import time_law, times_of
 from ..validate import positive, switch
-from . import laws
-from .motion_limits import speeds
+from .adapters import Published, RuleSteps
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .step import Lead
+from .stepper import speeds
 from .target_stream import ARRIVAL, STAND
 from .viability import BIT, LIMIT, MARGIN, UNKNOWN, bending, time_left, travel
 
@@ -78,13 +78,15 @@ class Leap:
     goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes, as a `Lead`.
     """
 
-    def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
-        """Bind the solver (postures); chosen: whether the caller chose the method's gains.
+    def __init__(
+        self, postures: Postures, engine: Published | RuleSteps, straight: float, elsewhere: Reconfiguration | None
+    ) -> None:
+        """Bind the solver (postures) and the tracking method (engine).
 
         straight: largest ratio of the straight line's duration to that of the direct joint move; elsewhere: finds other postures,
         or None.
         """
-        self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
+        self.postures, self._engine, self._most, self._elsewhere = postures, engine, straight, elsewhere
         # This call compiles (or loads) the time law now, so that no control loop has to wait for it.
         timed(np.eye(2), np.zeros(2), np.ones((4, 2)), 1.0)
         self.forget()
@@ -123,7 +125,7 @@ class Leap:
             sooner, _ = self.postures.find(T[1:], q[None], q, limits, quick=True)
             if len(sooner) and time_left(q, sooner[0], limits) < LEAP.sooner * time_left(q, found[0], limits):
                 found = sooner
-        self._enough = max(self._patience(taken.law), LEAP.close)
+        self._enough = max(self._patience(taken.h), LEAP.close)
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._choose_way(found[0], taken)
         elif not len(found) and taken.stand[STAND.jumped] and self._elsewhere and self._enough <= LEAP.close:
@@ -148,15 +150,14 @@ class Leap:
             how = f"moving there in joint space, as a straight line would take {ratio:.2g} times as long"
             self.why = Lead(False, f"the target jumped: {how}")
 
-    def _patience(self, law: np.ndarray) -> float:
+    def _patience(self, h: float) -> float:
         """Return the time [s] before the end of the move at which the tracking method takes over.
 
-        If the caller chose the gains, it is their time constant. Otherwise it is 0, and the move leads to the target itself.
+        If the caller chose the gains, it is their time constant in steps of h [s]. Otherwise it is 0, and the move leads to the
+        target itself.
         """
-        if not self._chosen:
-            return 0.0
-        p = laws.Law._make(law.tolist())
-        return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
+        rate = self._engine.natural(h) if self._engine.chosen else 0.0
+        return 1.0 / rate if rate > 0.0 else 0.0
 
     def _straight(self, goal: np.ndarray, taken: Taken) -> Route | None:
         """Return the fastest joint motion inside the limits along a straight line of the tip to the target.
@@ -173,7 +174,7 @@ class Leap:
         if len(found) < len(points):
             return None
         way = np.concatenate([q[None], found, goal[None]])
-        return timed(way, taken.rate, taken.limits, float(taken.law[laws.PLACE.gamma]))
+        return timed(way, taken.rate, taken.limits, self._engine.gamma)
 
     def go(
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
@@ -200,19 +201,19 @@ class Leap:
 
 
 def ways(
-    postures: Postures | None, chosen: bool, straight: Any, reconfigure: Any, world: Any
+    postures: Postures | None, engine: Published | RuleSteps, straight: Any, reconfigure: Any, world: Any
 ) -> list[Leap | Reconfiguration]:
     """Return the objects that move a tracker's joints in place of its method where this fails or is slow.
 
-    postures: finds joint values for targets; if None, the result is empty; chosen: whether the caller chose the method's gains;
-    straight, reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises InvalidOption.
+    postures: finds joint values for targets; if None, the result is empty; engine: the tracking method; straight,
+    reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises InvalidOption.
     """
     elsewhere = switch(reconfigure, "reconfigure")
     longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
     if postures is None:
         return []
     other = [Reconfiguration(postures.robot, postures, world)] if elsewhere else []
-    return [Leap(postures, chosen, longest, other[0] if other else None), *other]
+    return [Leap(postures, engine, longest, other[0] if other else None), *other]
 
 
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:

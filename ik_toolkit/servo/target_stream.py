@@ -199,8 +199,8 @@ class Stream(CopiesViews):
         self.robot = robot
         self.tips = len(robot.tips)
         self.kinds: tuple | None = None
-        self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
-        for one in (self.samples, self._given, self._last):
+        self.samples, self._given = (new_samples(count, self.tips) for count in (2, 1))
+        for one in (self.samples, self._given):
             one.T[:] = np.eye(4)
         self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether and where the target stands still, see `RestState`
         self._cut()
@@ -268,12 +268,6 @@ class Stream(CopiesViews):
         T[-1] = ends.T[1]
         V, A = (one[0] + f[:, None] * (one[1] - one[0]) for one in (ends.V, ends.A))
         return [samples_from(T[k : k + 2], V[k : k + 2], A[k : k + 2]) for k in range(parts)]
-
-    def last_of(self, samples: Samples) -> Samples:
-        """Return Samples of only the last one of the given samples; the result is valid until the next call."""
-        last = self._last
-        last.T[0], last.V[0], last.A[0] = samples.T[-1], samples.V[-1], samples.A[-1]
-        return last
 
     def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
         """Pass a target to the compiled `arrive`; return a number of `TargetCodes`.

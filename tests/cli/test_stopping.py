@@ -16,7 +16,7 @@ from folders import csv_rows
 from ik_toolkit.cli import batch, bench, main, path, place, reach, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
-from ik_toolkit.servo.tracker import Tracker
+from ik_toolkit.servo.stepper import Stepper
 
 SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
@@ -54,7 +54,7 @@ def in_the_report(monkeypatch, number, k):
 
 
 def while_it_tracks(monkeypatch, number, k):
-    count, take = iter(range(1, 10**9)), Tracker.take
+    count, take = iter(range(1, 10**9)), Stepper.take
 
     def then_stop(*given, **how):
         done = take(*given, **how)
@@ -62,7 +62,7 @@ def while_it_tracks(monkeypatch, number, k):
             send(number)
         return done
 
-    monkeypatch.setattr(Tracker, "take", then_stop)
+    monkeypatch.setattr(Stepper, "take", then_stop)
 
 
 def whole(tmp_path):

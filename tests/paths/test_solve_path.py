@@ -263,8 +263,10 @@ def test_ctrl_c_keeps_the_best_path(snake, when):
             raise KeyboardInterrupt
 
     with pytest.raises(ik.PathInterrupted) as caught:
-        ik.solve_path(snake, points, progress=stop)
-    assert isinstance(caught.value, KeyboardInterrupt) and caught.value.result.success
+        ik.solve_path(snake, points, path_tolerance=(1e-3, 0.02), progress=stop)
+    made = caught.value.result
+    assert isinstance(caught.value, KeyboardInterrupt) and made.success
+    assert made.path_tolerance == (1e-3, 0.02) and made.tolerance_given  # on which its `retime` depends
 
 
 # ---------------------------------------------------------------------------------------------------------------- turns

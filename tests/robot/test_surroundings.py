@@ -212,7 +212,7 @@ def test_a_tracker_sees_what_moves():
     assert tracker.update(target, 0.01).status.name != "BLOCKED"
     model.move("ball", tip + np.array([0.0, 0.0, 0.12]))
     step = tracker.update(target, 0.01)
-    assert any("ball" in pair for pair in tracker._guard.pairs) and step is not None
+    assert any("ball" in pair for pair in tracker.stepper.guard.pairs) and step is not None
 
 
 # ---------------------------------------------------------------------------------------------------------------- margin

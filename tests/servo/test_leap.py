@@ -124,12 +124,16 @@ def test_what_it_says(panda):
             ik.Tracker(panda, straight=wrong)
 
 
-def test_gains_that_somebody_chose_stay(panda):
+@pytest.mark.parametrize(
+    ("method", "gains"), [("cv", {"kappa": 2.0}), ("av", {"share": 0.02}), ("aad", {"share": 0.02})]
+)
+def test_gains_that_somebody_chose_stay(panda, method, gains):
     """Gentle feedback is what was asked for: the error falls by exp(-kappa t), not as fast as limits allow."""
     q1 = panda.home + 0.1
-    steps = follow(panda, panda.home, panda.fk(q1), 1.0, kappa=2.0)
+    steps = follow(panda, panda.home, panda.fk(q1), 1.0, method=method, **gains)
     error = np.array([s.position_error for s in steps])
     assert not any("jumped" in s.reason for s in steps)
+    assert not any("slowly" in s.reason for s in steps)
     assert error[80] == pytest.approx(error[30] * (1.0 - 2.0 * DT) ** 50, rel=0.02)
 
 

@@ -11,7 +11,7 @@ from robots import have_data, load
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.servo import viability
-from ik_toolkit.servo.motion_limits import LIMIT_NAMES, changed_limits, limit_rows
+from ik_toolkit.servo.stepper import LIMIT_NAMES, changed_limits, limit_rows
 
 
 def motions(count, steps, seed):

@@ -51,10 +51,10 @@ def test_the_arm_rests_where_no_way_down_is_left(name, method, acceleration, q0,
     target = np.array(place) if turn is None else pin.SE3(pin.exp3(np.array(turn)), np.array(place)).homogeneous
     tracker = ik.Tracker(robot, method, q0=q0, acceleration_limits=acceleration)
     steps = [tracker.update(target, 0.01) for _ in range(800)]
-    known = tracker._state.copy()
+    known = tracker.stepper.state.copy()
     tracker.update(np.nan * target, 0.01)
     parts = slice(STATE.share, STATE.turned + 1)
-    assert np.array_equal(tracker._state[parts], known[parts]), "a step that brakes is not taken notice of"
+    assert np.array_equal(tracker.stepper.state[parts], known[parts]), "a step that brakes is not taken notice of"
     assert slope_left(robot, steps[-1].q, target) < 1e-5
     assert np.abs([step.rate for step in steps[-50:]]).max() < 1e-3
     assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].position_error > 0.01

@@ -108,8 +108,11 @@ def test_the_last_step_of_the_way_may_be_blocked(panda):
     tracker, T = ik.Tracker(panda, q0=panda.home), panda.fk(panda.home).homogeneous[None]
     tracker.update(T[0], DT)
     way = tracker._ways[-1]
-    way.goal, way._place = tracker._q + 1e-5, T
-    assert way.go(tracker._q, tracker._rate, T, 1.0, DT, DT, tracker._limits, tracker._code) and way.goal is None
+    way.goal, way._place = tracker.stepper.q + 1e-5, T
+    assert (
+        way.go(tracker.stepper.q, tracker.stepper.rate, T, 1.0, DT, DT, tracker.stepper.limits, tracker._code)
+        and way.goal is None
+    )
     way.blocked()
     assert gap(T, way._vain) == 0.0
 
@@ -191,11 +194,11 @@ def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(arm, what):
     for T in targets:
         tracker.update(T, DT)
         way = next((way for way in tracker._ways if way.goal is not None), None)
-        if way is not None and np.abs(tracker._rate).max() > 0.5:
+        if way is not None and np.abs(tracker.stepper.rate).max() > 0.5:
             break
-    joint = int(np.argmax(np.abs(tracker._rate)))
-    side = "lower" if tracker._rate[joint] > 0.0 else "upper"
-    beyond = tracker.q[joint] + np.sign(tracker._rate[joint]) * 0.02  # the joint goes on to its goal, inside
+    joint = int(np.argmax(np.abs(tracker.stepper.rate)))
+    side = "lower" if tracker.stepper.rate[joint] > 0.0 else "upper"
+    beyond = tracker.q[joint] + np.sign(tracker.stepper.rate[joint]) * 0.02  # the joint goes on to its goal, inside
     tracker.change_limits(**{side: {robot.joint_names[joint]: beyond}})
     step = tracker.update(T, DT)
     assert way.goal is not None and step._outcome.way is not None

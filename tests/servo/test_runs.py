@@ -11,6 +11,7 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.servo.run import TrackInterrupted
+from ik_toolkit.servo.stepper import Stepper
 
 
 @pytest.mark.parametrize(("rule", "position", "orientation"), [
@@ -224,7 +225,7 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
 
 def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
     ref, calls = panda_reference(panda, True, 1.0), []
-    run = ik.Tracker.run
+    run = Stepper.run
 
     def interrupted(self, *args, **options):
         calls.append(1)
@@ -232,7 +233,7 @@ def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
             raise KeyboardInterrupt
         return run(self, *args, **options)
 
-    monkeypatch.setattr(ik.Tracker, "run", interrupted)
+    monkeypatch.setattr(Stepper, "run", interrupted)
     with pytest.raises(TrackInterrupted) as caught:
         ik.track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
     kept = caught.value.result
