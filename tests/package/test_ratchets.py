@@ -14,7 +14,7 @@ CEILINGS = {
     "file names used twice": 4,
     "functions of more than 9 parameters": 19,
     "constants of the most laden file of kernel and servo": 5,
-    "constants of modules": 941,
+    "constants of modules": 940,
     "uses of by_tip": 18,
     "imports for types alone": 3,
     "files under 120 lines that one other imports": 2,
