@@ -225,3 +225,20 @@ def test_a_joint_without_limits_does_not_spin_for_one_that_is_too_slow(method, o
         step = tracker.update([1.0, 0.0, 0.004 * k], 0.01)
     assert step.status is ik.StepStatus.LIMITED and step.reason == "speed limit on lift"
     assert step.q[0] > 0.017 and abs(step.q[1]) < 1e-4
+
+
+@pytest.mark.parametrize("method", ["cv", "ca"])
+def test_a_sliding_joint_without_limits_goes_as_far_in_a_step_as_its_target(method):
+    """The bound of half a turn is not for it: pi in its unit of length is some metres."""
+    model = pin.Model()
+    for name, joint in (("rail", pin.JointModelPX()), ("a", pin.JointModelRZ()), ("b", pin.JointModelRZ())):
+        place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+        model.addJointFrame(model.addJoint(model.njoints - 1, joint, place, name))
+    model.addFrame(pin.Frame("tip", 3, 0, place, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit[:], model.upperPositionLimit[:], model.velocityLimit[:] = -np.inf, np.inf, np.inf
+    robot = ik.Robot(model=model, tip="tip")
+    start = robot.fk(robot.home).translation
+    run = ik.track(
+        robot, ik.line(start, start + np.array([100.0, 0.0, 0.0]), duration=10.0), method, dt=1.0, q0=robot.home
+    )
+    assert run.success and run.position_error.max() < 1e-6

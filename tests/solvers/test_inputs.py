@@ -381,3 +381,17 @@ def test_a_table_of_positions_is_read_by_rows(by_tip):
     many = ik.solve_batch(robot, {robot.tips[0]: table} if by_tip else table)
     assert many.success.all()
     assert np.allclose([robot.fk(q).translation for q in many.q], xyz, atol=1e-5)
+
+
+def test_a_table_that_numpy_cannot_read_is_refused():
+    class Elsewhere(Table):
+        """A table that does not convert itself, as a tensor in the memory of a graphics card."""
+
+        def __array__(self, dtype=None, copy=None):
+            raise TypeError("copy it to host memory first")
+
+        def __iter__(self):
+            return iter([Elsewhere(self.rows)])
+
+    with pytest.raises(InvalidTarget):
+        ik.solve_batch(load(ARM), Elsewhere(np.zeros((2, 3))))

@@ -205,7 +205,8 @@ def determinant(W, c, s, A, N):
 def eliminate(A, rows, columns, count):
     """Bring the first `count` columns of A (rows, columns) to upper triangular form, by Gaussian elimination with partial pivoting.
 
-    Returns the product of the pivots, and the sign of the row permutation.
+    The entries below the diagonal, which are now 0, are not written. Returns the product of the pivots, and the sign of the row
+    permutation.
     """
     product, sign = 1.0, 1.0
     for k in range(count):

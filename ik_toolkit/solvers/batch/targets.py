@@ -151,10 +151,10 @@ def known(targets: Any, base: str = "") -> Any:
         }
     if isinstance(targets, Iterator):
         return None
-    # A table such as a polars DataFrame converts itself to an array; iteration would give its columns instead of its rows.
-    if hasattr(targets, "__array__") and (array := np.asarray(targets)).dtype.kind in "fiu":
-        return array
     try:
+        # A table such as a polars DataFrame converts itself to an array; iteration would give its columns instead of its rows.
+        if hasattr(targets, "__array__") and (array := np.asarray(targets)).dtype.kind in "fiu":
+            return array
         return np.array([_plain(target, base) for target in targets])
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
