@@ -9,6 +9,7 @@ directions near singular poses, each joint clipped on its own.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,9 +18,9 @@ import numpy as np
 from ..compile.array_view import flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner
 from ..kernel.dispatch import problem_on
-from ..kernel.records import SIZE, Ends, Orders, copy, read
+from ..kernel.records import SIZE, Orders, copy, read
 from ..kernel.search import step_class
-from ..kernel.vectors import apply_transposed, clear
+from ..kernel.vectors import apply_transposed, clear, dot
 from .command import Moment, Published, by_law, by_rule, chosen, shift_by_secondary, unshifted
 from .constrained_step import MODE, OUTCOME, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
@@ -199,13 +200,12 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, full, count, mu, h, own, work, code):
+def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    law: the method and its gains (`Law`); s: scratch arrays of the step (`Bench`); full: limits of the robot (`Ends`); count:
-    number of inequality constraints; h [s]: the step; own: state of the tracker (`Carried`); work: memory for `constrain`. If
-    mu > 0, the step is a damped least-squares step with this damping, whose task is already in s. code (n,) receives the bits of
-    the limits that held joints back.
+    law: the method and its gains (`Law`); s: scratch arrays of the step (`Bench`); count: number of inequality constraints; h [s]:
+    the step; own: state of the tracker (`Carried`); work: memory for `constrain`. If mu > 0, the step is a damped least-squares
+    step with this damping, whose task is already in s. code (n,) receives the bits of the limits that held joints back.
     """
     n = s.J.shape[0]
     mode, size = int(law.mode), s.size
@@ -218,13 +218,13 @@ def by_constraints(law, s, full, count, mu, h, own, work, code):
         by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
     copy(s.x, s.w)
     # Where other joints are blocked, a joint without limits would do alone what it hardly can, with a thousand turns in one step
-    # (tests/servo/test_motion_limits.py). No step is meant to turn a joint by more than half a turn. A sliding joint may go far in
-    # a long step.
+    # (tests/servo/test_motion_limits.py). No step is meant to move a joint by more than half a turn, or the way asked of the tip.
+    most = np.pi / h + math.sqrt(dot(s.ask, s.ask, s.ask.shape[0]))
     for i in range(n):
-        if full.turns(i) > 0.0 and s.floor[i] == -np.inf:
-            s.floor[i], s.why_low[i] = -np.pi / h, 0
-        if full.turns(i) > 0.0 and s.roof[i] == np.inf:
-            s.roof[i], s.why_top[i] = np.pi / h, 0
+        if s.floor[i] == -np.inf:
+            s.floor[i], s.why_low[i] = -most, 0
+        if s.roof[i] == np.inf:
+            s.roof[i], s.why_top[i] = most, 0
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
     status = constrain(TaskRate(s.J, s.weight, s.heavy, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
     if status >= OUTCOME.short:
@@ -246,7 +246,7 @@ def by_constraints(law, s, full, count, mu, h, own, work, code):
 
 
 @inline
-def by_clipping(law, s, full, count, mu, h, own, work, code):
+def by_clipping(law, s, count, mu, h, own, work, code):
     """Clip the joint rates s.x (n,) that a solver's iteration commands to their bounds, each joint on its own.
 
     Solvers do not use `by_constraints`, since compiling it for every solver would take a minute. code (n,) receives the bits of the
@@ -338,7 +338,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if still or law.mode == MODE.clip:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            held = apply_limits(law, s, Ends(flat(ends), n), count, mu, h, own, work, C[i])
+            held = apply_limits(law, s, count, mu, h, own, work, C[i])
             record_oscillation(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 rewrite_command(law, h, ratio, s.w, s.x, memory)
