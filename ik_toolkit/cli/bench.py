@@ -10,7 +10,7 @@ from ..files import write_whole
 from .command import PLOTS, argument, command, option, options, same
 from .completion import robots_like, solvers_like
 from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, given, solver_named
-from .output import notice, partial, progress, run_or_part, show, table, write_json, write_rows
+from .output import notice, progress, run_or_part, show, table, whole_or_partial, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted
 
@@ -91,9 +91,7 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
     if stopped and not found.rows:
         raise KeyboardInterrupt
     with uninterrupted():
-        output, csv_file, latex = (
-            partial(file) if stopped and file is not None else file for file in (out.output, out.csv_file, out.latex)
-        )
+        output, csv_file, latex = (whole_or_partial(file, stopped) for file in (out.output, out.csv_file, out.latex))
         write_json(found.to_dict(), out.as_json, output)
         _write_csv(csv_file, found)
         if latex is not None:

@@ -61,6 +61,11 @@ def partial(output: Path) -> Path:
     return output.with_name(output.name + PARTIAL)
 
 
+def whole_or_partial(file: Path | None, stopped: bool) -> Path | None:
+    """Return the path to write to: `file`, or FILE.partial if the command was stopped; None stays None."""
+    return partial(file) if stopped and file is not None else file
+
+
 def keep_partial(result: Any, output: Path, what: str) -> None:
     """Save the finished part of an interrupted command as FILE.partial, and print a notice; what: its contents in words."""
     with uninterrupted():

@@ -10,7 +10,7 @@ from ..errors import InvalidOption
 from ..text import length, vector
 from .command import PLOTS, REQUIRED, command, flag, in_radians, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions
-from .output import fixed, notice, partial, progress, run_or_part, show, table, write_json, write_rows
+from .output import fixed, notice, progress, run_or_part, show, table, whole_or_partial, write_json, write_rows
 from .pictures import chart
 
 
@@ -68,8 +68,9 @@ def place(
     with progress("counting", None) as step:
         more |= {"yaw": yaw, "height": height, "progress": step}
         found, stopped = run_or_part(lambda: search(arm, poses, where, **more))
-    output = partial(asked.output) if stopped and asked.output else asked.output
-    write_rows(output, NUMBERS, [[getattr(one, key) for key in NUMBERS] for one in found])
+    write_rows(
+        whole_or_partial(asked.output, stopped), NUMBERS, [[getattr(one, key) for key in NUMBERS] for one in found]
+    )
     chart(None if stopped else asked.plot, found)
     write_json(found.to_dict(), out.as_json)
     if not out.as_json:

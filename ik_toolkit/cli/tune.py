@@ -10,7 +10,7 @@ from ..files import require_place
 from .command import PLOTS, argument, command, flag, option, options, same
 from .completion import solvers_like
 from .options import TableOutput, WholeRobot
-from .output import notice, partial, progress, show, write_json, write_rows
+from .output import notice, partial, progress, show, whole_or_partial, write_json, write_rows
 from .pictures import chart
 from .streams import uninterrupted
 from .workspace import WorkspaceOptions
@@ -104,7 +104,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
 
 def _write_csv(file: Path | None, result: Any) -> None:
     """Write the scores as CSV, if a file is given: a row for each parameter set, for the tuned one also on the training targets."""
-    file = partial(file) if result.interrupted and file is not None else file
+    file = whole_or_partial(file, result.interrupted)
     scores = {f"{name}, held out": one for name, one in result.scores.items()} | {"tuned, training": result.train}
     rows = (
         (name, one.total, sum(one.successes), one.share, *one.interval, one.iterations) for name, one in scores.items()

@@ -10,7 +10,7 @@ from ..text import length
 from .command import PLOTS, command, flag, option, options
 from .completion import solvers_like
 from .options import ObjectOutput, WholeRobot, given, joint_vector
-from .output import heading, notice, partial, progress, run_or_part, show, table, write_json
+from .output import heading, notice, partial, progress, run_or_part, show, table, whole_or_partial, write_json
 from .pictures import chart, show_scene
 
 LISTED = 10
@@ -74,7 +74,7 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
         done = next(iter(found.outcomes.values())).targets
         kept = f", in {partial(asked.csv)}" if asked.csv is not None else ""
         notice(f"partial: {done:,} of {asked.targets:,} targets{kept}")
-    write_json(found.to_dict(), out.as_json, partial(out.output) if stopped and out.output else out.output)
+    write_json(found.to_dict(), out.as_json, whole_or_partial(out.output, stopped))
     if not out.as_json:
         _show(found)
     if stopped:
